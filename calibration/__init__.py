@@ -1,0 +1,1 @@
+"""Camera calibration: board corners, intrinsics and their uncertainty."""

@@ -1,0 +1,1 @@
+"""Commands that calibration adds to the toolkit."""

@@ -1,0 +1,16 @@
+from toolkit.alpha import AlphaEstimator as AlphaEstimator
+from toolkit.alpha import Chord as Chord
+from toolkit.alpha import Observation as Observation
+from toolkit.camera import Camera as Camera
+from toolkit.errors import CalibrationError as CalibrationError
+from toolkit.errors import ConfigError as ConfigError
+from toolkit.errors import EnvironmentFault as EnvironmentFault
+from toolkit.errors import ImageError as ImageError
+from toolkit.errors import MismatchError as MismatchError
+from toolkit.errors import PluginError as PluginError
+from toolkit.errors import ShapeError as ShapeError
+from toolkit.errors import StreakError as StreakError
+from toolkit.errors import ToolkitError as ToolkitError
+from toolkit.types import LinearImage as LinearImage
+from toolkit.types import NoiseModel as NoiseModel
+from toolkit.types import ProfileFlag as ProfileFlag

@@ -1,0 +1,126 @@
+"""The estimator interface: how a kind of ball turns colours into opacity.
+
+Every built-in appearance, and a matte from elsewhere, is one linear mixture per signal channel,
+
+    signal = alpha * foreground + (1 - alpha) * ground,
+
+so an estimator answers two questions and nothing more: what is observed (`observe`), and what the ball alone
+would show (`foreground`). The solver never sees colours; an estimator never sees the solver.
+Source: Caglioti & Giusti 2007, eq. (1) and section 3.2.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, fields
+from typing import ClassVar, final
+
+import torch
+from torch import Tensor
+
+from toolkit.types import LinearImage, NoiseModel
+
+API_VERSION = 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Observation:
+    """A picture as an estimator sees it; B image, Q signal channels (three colours, one plane distance, one matte)."""
+
+    signal: Tensor  # [B, Q, H, W] with the ball
+    ground: Tensor  # [B, Q, H, W] without it
+    variance: Tensor  # [B, Q, H, W] of signal minus ground
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Chord:
+    """Lines across the ball's disc, parallel to the motion, along which the ball's colour is averaged.
+
+    `offset` is (y - centre) / half_width, -1 at the left rim and 1 at the right one when looking along `direction`.
+    `start` and `stop` cut a partial chord, in shares of it: -1 is the trailing rim, 1 the leading one.
+    """
+
+    offset: Tensor  # [..., S]
+    direction: Tensor  # [..., 1] radians in the image, of the motion
+    start: float = -1.0
+    stop: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class AlphaEstimator(ABC):
+    """How one kind of ball is told from its background. Subclass it as a frozen dataclass; fields are its options.
+
+    Example:
+        >>> from dataclasses import dataclass
+        >>> @dataclass(frozen=True, kw_only=True)
+        ... class Matte(AlphaEstimator):
+        ...     '''A trivial one: the picture's first channel already is the opacity.'''
+        ...     def observe(self, image, background, noise):
+        ...         alpha = image.rgb[:, :1]
+        ...         return Observation(
+        ...             signal=alpha, ground=0 * alpha, variance=noise.variance(image.rgb)[:, :1]
+        ...         )
+        ...     def foreground(self, chord, appearance):
+        ...         return torch.ones_like(chord.offset)[..., None]
+        >>> Matte().option_names()
+        ()
+    """
+
+    api_version: ClassVar[int] = API_VERSION
+
+    @abstractmethod
+    def observe(self, image: LinearImage, background: LinearImage, noise: NoiseModel) -> Observation:
+        """Turn shot and background into signal, ground and variance, on the whole picture, before any sampling."""
+
+    @abstractmethod
+    def foreground(self, chord: Chord, appearance: Tensor | None) -> Tensor:
+        """Give the mean signal of the ball alone along each chord, [..., S, Q].
+
+        Args:
+            chord: where on the disc.
+            appearance: unknowns that the solver projects out [B, A], or None where the estimator has none.
+        """
+
+    @final
+    @classmethod
+    def option_names(cls) -> tuple[str, ...]:
+        """Names of the options that `--set field=value` reaches."""
+        return tuple(field.name for field in fields(cls) if field.init)
+
+    @final
+    def foreground_and_slope(
+        self, chord: Chord, appearance: Tensor | None = None
+    ) -> tuple[Tensor, Tensor | None]:
+        """Give `foreground` and its derivative in the chord's offset, both [..., S, Q]; None when it is constant.
+
+        Reverse mode, one pass a channel: exact, and free of the second that forward mode takes to load.
+        """
+        offset = chord.offset.detach().requires_grad_(True)
+        with torch.enable_grad():
+            value = self.foreground(
+                Chord(offset=offset, direction=chord.direction, start=chord.start, stop=chord.stop),
+                appearance,
+            )
+            if not value.requires_grad:
+                return value, None
+            slopes = [
+                torch.autograd.grad(value[..., q].sum(), offset, retain_graph=True)[0]
+                for q in range(value.shape[-1])
+            ]
+        return value.detach(), torch.stack(slopes, dim=-1)
+
+    @final
+    def alpha(self, observation: Observation) -> tuple[Tensor, Tensor]:
+        """Estimate the opacity of every pixel on its own and its variance, both [B, 1, H, W].
+
+        The least-squares solution of the mixture with the colour of the disc's middle: exact for a uniform ball,
+        an approximation good enough to find the streak for a shaded one.
+        """
+        middle = Chord(
+            offset=torch.zeros(1, dtype=observation.signal.dtype),
+            direction=torch.zeros(1, dtype=observation.signal.dtype),
+        )
+        foreground = self.foreground(middle, None).to(observation.signal).reshape(1, -1, 1, 1)
+        contrast = foreground - observation.ground
+        weight = contrast / observation.variance
+        information = (weight * contrast).sum(1, keepdim=True).clamp_min(1e-12)
+        signal = (weight * (observation.signal - observation.ground)).sum(1, keepdim=True)
+        return signal / information, 1 / information

@@ -1,0 +1,1 @@
+"""Pictures from files: the only place with paths and decoders."""

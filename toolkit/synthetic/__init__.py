@@ -1,0 +1,1 @@
+"""Rendered truth: shots and boards made by brute force."""

@@ -1,0 +1,139 @@
+"""What each stage of the pipeline hands to the next: frozen dataclasses, shapes in the field comments.
+
+path -> LinearImage -> Streak -> Profiles -> ProfileFit -> Contours -> CrossSections -> Trajectory
+
+Axis letters: B image, P profile, S sample along it, Q signal channel, N point, H row, W column.
+Pixels are (x, y) with (0, 0) at the CENTRE of the top-left pixel; the camera frame is x right, y down,
+z forward with its origin at the viewpoint; metres, seconds, radians; light is linear, sensor white = 1.
+"""
+
+from dataclasses import dataclass
+from enum import IntFlag
+
+import torch
+from torch import Tensor
+
+
+class ProfileFlag(IntFlag):
+    """Why a single profile is not used; 0 means it is good."""
+
+    GOOD = 0
+    NOT_CONVERGED = 1
+    """The fit did not settle."""
+    CLIPPED = 2
+    """The profile meets saturated pixels or leaves the picture."""
+    LOW_CONTRAST = 4
+    """The opacity is not clearly above its own standard deviation."""
+    AT_BOUND = 8
+    """Half width or opacity ended outside its physical range."""
+    END = 16
+    """The profile touches the ball's first or last image, where no semi-ellipse is expected."""
+    OUTLIER = 32
+    """The fit disagrees with its neighbours."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinearImage:
+    """A picture in linear light, in sensor orientation, white = 1."""
+
+    rgb: Tensor  # [B, 3, H, W] float32
+    clipped: Tensor  # [B, 1, H, W] bool, True where any channel met white
+    exposure: Tensor | None = None  # [B] s, None when the file does not tell
+    mosaic: Tensor | None = None  # [B, 1, H, W] float32, the values before demosaicing
+    pattern: tuple[tuple[int, ...], ...] | None = None  # channel 0 R, 1 G, 2 B of the mosaic's period
+    crop: tuple[int, int, int, int] | None = None  # left, top of this picture in its full frame, and
+    # that frame's width, height; None when the file holds no larger frame
+    response: str = "linear"  # how stored brightness became light
+    response_is_assumed: bool = False  # nobody named the response, it was guessed from the file kind
+    frames: int = 1  # how many pictures were combined into this one (noise is smaller by that)
+
+    @property
+    def width(self) -> int:
+        """Columns."""
+        return self.rgb.shape[-1]
+
+    @property
+    def height(self) -> int:
+        """Rows."""
+        return self.rgb.shape[-2]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoiseModel:
+    """Variance of one raw sample as a function of its level: read_variance + gain * level.
+
+    `density` is the share of the pixels at which the sensor measured a channel (1/4, 1/2, 1/4 behind a Bayer
+    mosaic, 1 without one): demosaicing smooths the noise but adds no information, so that sums over many
+    interpolated samples have the variance of raw samples divided by the density.
+    """
+
+    read_variance: Tensor  # [B, 3]
+    gain: Tensor  # [B, 3]
+    density: Tensor  # [3]
+
+    def variance(self, level: Tensor) -> Tensor:
+        """Give the variance per sample at `level` [B, 3, H, W], same shape."""
+        read = (self.read_variance / self.density)[:, :, None, None]
+        gain = (self.gain / self.density)[:, :, None, None]
+        return (read + gain * level.clamp_min(0)).to(level.dtype)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Streak:
+    """Where the ball's trail lies in the picture, and its rough axis."""
+
+    mask: Tensor  # [B, 1, H, W] bool
+    axis: Tensor  # [B, N, 2] px, from one tip to the other at equal spacing
+    half_width: Tensor  # [B] px, rough
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Profiles:
+    """Samples across the streak: sample s of profile p lies at origin[p] + offset[s] * normal[p]."""
+
+    origin: Tensor  # [B, P, 2] px
+    normal: Tensor  # [B, P, 2] unit, to the right of the motion along the axis
+    position: Tensor  # [B, P] px, arc length of the origin along the axis
+    offset: Tensor  # [S] px
+    signal: Tensor  # [B, P, S, Q] what the estimator observed
+    ground: Tensor  # [B, P, S, Q] the same without the ball
+    variance: Tensor  # [B, P, S, Q]
+    valid: Tensor  # [B, P, S] bool, False outside the picture and where clipped
+
+    @property
+    def direction(self) -> Tensor:
+        """Angle of the motion in the image, radians, [B, P]."""
+        return torch.atan2(-self.normal[..., 0], self.normal[..., 1])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProfileFit:
+    """The semi-ellipse that fits each profile best."""
+
+    origin: Tensor  # [B, P, 2] px, as in Profiles
+    normal: Tensor  # [B, P, 2] unit
+    position: Tensor  # [B, P] px
+    centre: Tensor  # [B, P] px, offset of the semi-ellipse's centre along the normal
+    half_width: Tensor  # [B, P] px
+    opacity: Tensor  # [B, P] alpha at the centre
+    covariance: Tensor  # [B, P, 3, 3] of (centre, half_width, opacity)
+    chi2_per_dof: Tensor  # [B, P]
+    flags: Tensor  # [B, P] int64, bits of ProfileFlag
+    blur: Tensor  # [B] px, standard deviation of everything that smooths a profile
+    iterations: int
+
+    @property
+    def good(self) -> Tensor:
+        """Profiles without any flag, [B, P] bool."""
+        return self.flags == 0
+
+    @property
+    def middle(self) -> Tensor:
+        """Centre points, [B, P, 2] px."""
+        return self.origin + self.centre[..., None] * self.normal
+
+    @property
+    def edges(self) -> Tensor:
+        """Left and right edge points, [B, P, 2, 2] px."""
+        ends = torch.stack([self.centre - self.half_width, self.centre + self.half_width], dim=-1)
+        return self.origin[..., None, :] + ends[..., None] * self.normal[..., None, :]
