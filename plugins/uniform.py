@@ -22,9 +22,13 @@ class Uniform(AlphaEstimator):
 
     def __post_init__(self) -> None:
         if len(self.colour) != 3 or not all(math.isfinite(c) and 0 <= c <= 4 for c in self.colour):
-            raise ConfigError(f"ball colour {self.colour} is not three linear values R,G,B, sensor white = 1")
+            raise ConfigError(
+                f"ball colour {self.colour} is not three linear values R,G,B, sensor white = 1"
+            )
 
-    def observe(self, image: LinearImage, background: LinearImage, noise: NoiseModel) -> Observation:
+    def observe(
+        self, image: LinearImage, background: LinearImage, noise: NoiseModel
+    ) -> Observation:
         """Hand on the colours of shot and background as they are."""
         variance = noise.variance(image.rgb) + noise.variance(background.rgb) / background.frames
         return Observation(signal=image.rgb, ground=background.rgb, variance=variance)

@@ -67,7 +67,9 @@ class AlphaEstimator(ABC):
     api_version: ClassVar[int] = API_VERSION
 
     @abstractmethod
-    def observe(self, image: LinearImage, background: LinearImage, noise: NoiseModel) -> Observation:
+    def observe(
+        self, image: LinearImage, background: LinearImage, noise: NoiseModel
+    ) -> Observation:
         """Turn shot and background into signal, ground and variance, on the whole picture, before any sampling."""
 
     @abstractmethod

@@ -39,14 +39,18 @@ class Camera:
     def __post_init__(self) -> None:
         allowed = self.MODELS.get(self.model)
         if allowed is None:
-            raise ConfigError(f"camera model '{self.model}' is unknown; use one of {', '.join(self.MODELS)}")
+            raise ConfigError(
+                f"camera model '{self.model}' is unknown; use one of {', '.join(self.MODELS)}"
+            )
         if len(self.distortion) not in allowed:
             raise ConfigError(
                 f"a {self.model} camera has {len(self.distortion)} distortion coefficients; {allowed} are possible"
             )
         numbers = torch.tensor([self.fx, self.fy, self.cx, self.cy, *self.distortion])
         if not bool(torch.isfinite(numbers).all()):
-            raise ConfigError("the camera has a parameter that is not a finite number; calibrate again")
+            raise ConfigError(
+                "the camera has a parameter that is not a finite number; calibrate again"
+            )
         if min(self.fx, self.fy) <= 0 or min(self.width, self.height) <= 0:
             raise ConfigError("the camera needs positive fx, fy, width and height; calibrate again")
 
@@ -145,7 +149,9 @@ class Camera:
             normalised = normalised + step
         # past the radius where distortion folds back Newton finds nothing, or a mirror image
         turns_back = torch.linalg.det(self._J_distort(normalised)) <= 0
-        missed = (self._distort(normalised) - distorted).abs().amax(-1) * max(self.fx, self.fy) > 1e-6
+        missed = (self._distort(normalised) - distorted).abs().amax(-1) * max(
+            self.fx, self.fy
+        ) > 1e-6
         return torch.where((turns_back | missed)[..., None], torch.nan, normalised)
 
     def _focal(self, like: Tensor) -> Tensor:

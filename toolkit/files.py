@@ -27,16 +27,24 @@ def read_toml(path: Path, kind: str) -> dict[str, Any]:
     except FileNotFoundError:
         raise ConfigError(f"{path} does not exist; give the path of a {kind} file") from None
     except OSError as error:
-        raise ConfigError(f"{path} cannot be read ({error.strerror}); give the path of a {kind} file") from None
+        raise ConfigError(
+            f"{path} cannot be read ({error.strerror}); give the path of a {kind} file"
+        ) from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path} is not valid TOML ({one_line(error)}); correct or recreate it") from None
+        raise ConfigError(
+            f"{path} is not valid TOML ({one_line(error)}); correct or recreate it"
+        ) from None
     schema = table.pop("schema", None)
     if schema != f"toolkit.{kind}/1":
-        raise ConfigError(f'{path} has schema {schema!r}; a {kind} file has schema = "toolkit.{kind}/1"')
+        raise ConfigError(
+            f'{path} has schema {schema!r}; a {kind} file has schema = "toolkit.{kind}/1"'
+        )
     return table
 
 
-def check_keys(where: str, table: Mapping[str, Any], allowed: Mapping[str, type | tuple[type, ...]]) -> None:
+def check_keys(
+    where: str, table: Mapping[str, Any], allowed: Mapping[str, type | tuple[type, ...]]
+) -> None:
     """Raise `ConfigError` naming the first key that is unknown or has a value of another type.
 
     An integer passes for a float; a bool never passes for a number.
@@ -47,7 +55,11 @@ def check_keys(where: str, table: Mapping[str, Any], allowed: Mapping[str, type 
         wanted = allowed[key]
         kinds = wanted if isinstance(wanted, tuple) else (wanted,)
         is_number = float in kinds and isinstance(value, int)
-        if isinstance(value, bool) and bool not in kinds or not (isinstance(value, kinds) or is_number):
+        if (
+            isinstance(value, bool)
+            and bool not in kinds
+            or not (isinstance(value, kinds) or is_number)
+        ):
             names = " or ".join(kind.__name__ for kind in kinds)
             raise ConfigError(f"{where}: '{key}' is {value!r}; a {names} is needed")
 
@@ -63,7 +75,9 @@ def write_whole(path: Path) -> Iterator[Path]:
     """
     temporary: Path | None = None
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
+        handle, name = tempfile.mkstemp(
+            prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent
+        )
         os.close(handle)
         temporary = Path(name)
         yield temporary
@@ -74,7 +88,9 @@ def write_whole(path: Path) -> Iterator[Path]:
         temporary = None
     except OSError as error:
         reason = error.strerror or one_line(error)
-        raise EnvironmentFault(f"{path} cannot be written ({reason}); choose another place or make room") from error
+        raise EnvironmentFault(
+            f"{path} cannot be written ({reason}); choose another place or make room"
+        ) from error
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)

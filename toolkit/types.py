@@ -40,11 +40,17 @@ class LinearImage:
     clipped: Tensor  # [B, 1, H, W] bool, True where any channel met white
     exposure: Tensor | None = None  # [B] s, None when the file does not tell
     mosaic: Tensor | None = None  # [B, 1, H, W] float32, the values before demosaicing
-    pattern: tuple[tuple[int, ...], ...] | None = None  # channel 0 R, 1 G, 2 B of the mosaic's period
-    crop: tuple[int, int, int, int] | None = None  # left, top of this picture in its full frame, and
+    pattern: tuple[tuple[int, ...], ...] | None = (
+        None  # channel 0 R, 1 G, 2 B of the mosaic's period
+    )
+    crop: tuple[int, int, int, int] | None = (
+        None  # left, top of this picture in its full frame, and
+    )
     # that frame's width, height; None when the file holds no larger frame
     response: str = "linear"  # how stored brightness became light
-    response_is_assumed: bool = False  # nobody named the response, it was guessed from the file kind
+    response_is_assumed: bool = (
+        False  # nobody named the response, it was guessed from the file kind
+    )
     frames: int = 1  # how many pictures were combined into this one (noise is smaller by that)
 
     @property
