@@ -8,10 +8,13 @@ distortion is k1 k2 p1 p2 [k3 [k4 k5 k6]].
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
+import numpy as np
 import torch
+from numpy.polynomial import Polynomial
 from torch import Tensor
 
-from toolkit.errors import ConfigError
+from toolkit.errors import ConfigError, MismatchError
+from toolkit.types import LinearImage
 
 UNDISTORT_STEPS = 12
 """Newton steps; convergence is quadratic, and 3 or 4 are enough for any lens this model describes."""
@@ -129,7 +132,7 @@ class Camera:
         """Give the derivative of `unproject` in the pixel, [..., 3, 2]."""
         normalised = self.undistort(pixels)
         J_pixel = self._focal(pixels)[:, None] * self._J_distort(normalised)
-        J_normalised = torch.linalg.inv(J_pixel)
+        J_normalised = _inverse_2x2(J_pixel)
         ray = torch.cat([normalised, torch.ones_like(normalised[..., :1])], dim=-1)
         length = torch.linalg.vector_norm(ray, dim=-1)[..., None, None]
         unit = (ray / length[..., 0])[..., :, None]
@@ -141,18 +144,28 @@ class Camera:
         distorted = (pixels - self._principal_point(pixels)) / self._focal(pixels)
         if not self.distortion:
             return distorted
+        fold = self._fold()
         normalised = distorted
         for _ in range(UNDISTORT_STEPS):
-            step = torch.linalg.solve_ex(
-                self._J_distort(normalised), (distorted - self._distort(normalised))[..., None]
-            )[0][..., 0]
+            # kept before the fold, where Newton cannot leave for a solution that no lens shows
+            length = torch.linalg.vector_norm(normalised, dim=-1, keepdim=True)
+            normalised = normalised * (0.999 * fold / length).clamp(max=1)
+            missing = (distorted - self._distort(normalised))[..., None]
+            step = (_inverse_2x2(self._J_distort(normalised)) @ missing)[..., 0]
             normalised = normalised + step
-        # past the radius where distortion folds back Newton finds nothing, or a mirror image
-        turns_back = torch.linalg.det(self._J_distort(normalised)) <= 0
-        missed = (self._distort(normalised) - distorted).abs().amax(-1) * max(
-            self.fx, self.fy
-        ) > 1e-6
-        return torch.where((turns_back | missed)[..., None], torch.nan, normalised)
+        error = (self._distort(normalised) - distorted).abs().amax(-1) * max(self.fx, self.fy)
+        is_seen = (error < 1e-6) & (torch.linalg.vector_norm(normalised, dim=-1) < fold)
+        return torch.where(is_seen[..., None], normalised, torch.nan)
+
+    def _fold(self) -> float:
+        """Radius (normalised) up to which radial distortion rises and has no pole; infinite when it always does."""
+        k1, k2, _, _, k3, k4, k5, k6 = self._coefficients()
+        above, below = Polynomial([1, k1, k2, k3]), Polynomial([1, k4, k5, k6])  # in r^2
+        # numerator of the derivative of r * above / below
+        slope = above * below + Polynomial([0, 2]) * (above.deriv() * below - above * below.deriv())
+        roots = np.concatenate([slope.trim().roots(), below.trim().roots()])
+        squares = roots.real[(np.abs(roots.imag) < 1e-9 * np.abs(roots)) & (roots.real > 0)]
+        return float(squares.min()) ** 0.5 if squares.size else float("inf")
 
     def _focal(self, like: Tensor) -> Tensor:
         return torch.tensor([self.fx, self.fy], dtype=like.dtype, device=like.device)
@@ -193,3 +206,45 @@ class Camera:
             ],
             dim=-2,
         )
+
+
+def _inverse_2x2(matrix: Tensor) -> Tensor:
+    """Invert [..., 2, 2]; infinite or NaN where singular, unlike torch.linalg.inv, which fails the whole batch."""
+    (a, b), (c, d) = (row.unbind(-1) for row in matrix.unbind(-2))
+    adjugate = torch.stack([torch.stack([d, -b], dim=-1), torch.stack([-c, a], dim=-1)], dim=-2)
+    return adjugate / (a * d - b * c)[..., None, None]
+
+
+def fit_camera(camera: Camera, image: LinearImage) -> Camera:
+    """Give the camera of `image`, following a known crop or a whole-number scale where the sizes differ.
+
+    Other scales are refused although their shape may agree: a sensor crop of the same shape looks alike and
+    has another focal length.
+
+    Raises:
+        MismatchError: when the camera was calibrated on another kind of file.
+    """
+    size, wanted = (image.width, image.height), (camera.width, camera.height)
+    if size == wanted:
+        return camera
+    if image.crop is not None and image.crop[2:] == wanted:
+        return camera.cropped(image.crop[0], image.crop[1], *size)
+    if _is_whole_number_scale(size, wanted) or _is_whole_number_scale(wanted, size):
+        return camera.resized(*size)
+    if size == wanted[::-1]:
+        raise MismatchError(
+            f"the picture is {size[0]}x{size[1]} and the camera {wanted[0]}x{wanted[1]}: it was turned by 90 degrees;"
+            " use the file as the camera wrote it"
+        )
+    raise MismatchError(
+        f"the picture is {size[0]}x{size[1]} and the camera {wanted[0]}x{wanted[1]}, no known crop or whole-number"
+        " scale of it; calibrate from the same kind of file"
+    )
+
+
+def _is_whole_number_scale(small: tuple[int, int], large: tuple[int, int]) -> bool:
+    """Tell whether `large` is 2, 3, ... times `small`, within a pixel of the small one."""
+    factor = round(large[0] / small[0])
+    return factor > 1 and all(
+        abs(factor * s - l) <= factor for s, l in zip(small, large, strict=True)
+    )
