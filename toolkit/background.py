@@ -1,0 +1,130 @@
+"""What the picture shows away from the ball: the noise of the camera, and how the light drifted since the background."""
+
+import math
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from toolkit.errors import MismatchError
+from toolkit.types import LinearImage, NoiseModel
+
+SAMPLES = 60_000
+"""Pixels a channel that the statistics look at; their own error is then below 1 %."""
+LEVELS = 8
+"""Groups of equal count by brightness, from which the noise's dependence on the level is read."""
+MIN_STD = 2e-5
+"""Share of white below which no camera's noise lies (a quarter step of 14 bits)."""
+
+
+def check_pair(image: LinearImage, background: LinearImage) -> None:
+    """Raise `MismatchError` unless shot and background have the same size."""
+    if image.rgb.shape[-2:] != background.rgb.shape[-2:]:
+        raise MismatchError(
+            f"the background is {background.width}x{background.height} px but the shot is "
+            f"{image.width}x{image.height} px; take both with the same camera and settings"
+        )
+
+
+def estimate_noise(image: LinearImage, background: LinearImage) -> NoiseModel:
+    """Estimate read noise and gain from the difference of two pictures, robustly against the ball.
+
+    Raw samples are compared where both pictures still hold them, since demosaicing smooths the noise. Within each group of
+    equal brightness the median is taken out first, so that a drift of the light does not count as noise.
+    Source: MATHS, var(C) = read^2 + gain * C. [derived]
+
+    Returns:
+        NoiseModel of one picture; the difference of both has (1 + 1 / background.frames) times its variance.
+    """
+    share = 1 + 1 / background.frames
+    pairs = [_channel_samples(image, background, channel) for channel in range(3)]
+    fits = [_fit_variance(level, difference, share) for level, difference in pairs]
+    density = [_density(image, background, channel) for channel in range(3)]
+    return NoiseModel(
+        read_variance=torch.tensor([[fit[0] for fit in fits]]),
+        gain=torch.tensor([[fit[1] for fit in fits]]),
+        density=torch.tensor(density),
+    )
+
+
+def brightness_drift(image: LinearImage, background: LinearImage) -> Tensor:
+    """Give the median ratio of shot to background per channel, [3]; 1 when the light stayed the same."""
+    ratios = []
+    for channel in range(3):
+        level, difference = _channel_samples(image, background, channel)
+        bright = level > level.median()
+        ratios.append(1 + (difference[bright] / level[bright].clamp_min(1e-3)).median())
+    return torch.stack(ratios)
+
+
+def scale_background(background: LinearImage, ratio: Tensor) -> LinearImage:
+    """Give the background in the light of the shot, each channel multiplied by its ratio [3]."""
+    return replace(background, rgb=background.rgb * ratio.to(background.rgb)[:, None, None])
+
+
+def _channel_samples(
+    image: LinearImage, background: LinearImage, channel: int
+) -> tuple[Tensor, Tensor]:
+    """Background levels and differences of one channel on an even subset of its raw samples."""
+    shot, ground, clipped = image.rgb[0, channel], background.rgb[0, channel], image.clipped[0, 0]
+    clipped = clipped | background.clipped[0, 0]
+    if image.mosaic is not None and background.mosaic is not None and image.pattern is not None:
+        row, column, step_y, step_x = _lattice(image.pattern, channel)
+        shot = image.mosaic[0, 0, row::step_y, column::step_x]
+        ground = background.mosaic[0, 0, row::step_y, column::step_x]
+        clipped = clipped[row::step_y, column::step_x]
+    step = max(1, math.ceil((shot.numel() / SAMPLES) ** 0.5))
+    shot, ground = shot[::step, ::step], ground[::step, ::step]
+    usable = ~clipped[::step, ::step]
+    level = ground[usable].double()
+    return level, shot[usable].double() - level
+
+
+def _lattice(pattern: tuple[tuple[int, ...], ...], channel: int) -> tuple[int, int, int, int]:
+    """First row and column, and the periods, of one site of `channel` in the mosaic."""
+    sites = [
+        (y, x)
+        for y, line in enumerate(pattern)
+        for x, colour in enumerate(line)
+        if colour == channel
+    ]
+    return (*sites[0], len(pattern), len(pattern[0]))
+
+
+def _density(image: LinearImage, background: LinearImage, channel: int) -> float:
+    if image.mosaic is None or background.mosaic is None or image.pattern is None:
+        return 1.0
+    sites = [colour for line in image.pattern for colour in line]
+    return sites.count(channel) / len(sites)
+
+
+def _fit_variance(level: Tensor, difference: Tensor, share: float) -> tuple[float, float]:
+    """Fit read variance and gain, neither negative, to the variance of each brightness group."""
+    if level.numel() < 4 * LEVELS:
+        return MIN_STD**2, 0.0
+    order = level.argsort()
+    levels, variances = [], []
+    for group in order.chunk(LEVELS):
+        levels.append(level[group].mean())
+        variances.append(_robust_variance(difference[group]) / share)
+    x, variance = torch.stack(levels), torch.stack(variances).clamp_min(MIN_STD**2)
+    design = torch.stack([torch.ones_like(x), x], dim=-1) / variance[:, None]
+    read, gain = torch.linalg.lstsq(design, torch.ones_like(x)[:, None]).solution[:, 0].tolist()
+    if gain < 0:
+        return max(float(variance.median()), MIN_STD**2), 0.0
+    if read < MIN_STD**2:
+        slope = float((x / variance).sum() / ((x / variance) ** 2).sum())
+        return MIN_STD**2, max(slope, 0.0)
+    return read, gain
+
+
+def _robust_variance(difference: Tensor) -> Tensor:
+    """Variance of the bulk: samples beyond 4 standard deviations of the middle half are left out.
+
+    Plain median absolute deviation would be 0 on 8-bit pictures whose noise is below one step.
+    """
+    centred = difference - difference.median()
+    quarter = (torch.quantile(centred, 0.75) - torch.quantile(centred, 0.25)) / 1.349
+    spread = torch.maximum(quarter, centred.abs().mean() * 0.5)
+    kept = centred[centred.abs() <= 4 * spread]
+    return kept.var() if kept.numel() > 1 else spread**2

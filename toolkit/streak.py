@@ -1,0 +1,291 @@
+"""Finding the ball's trail without help: where the opacity is significant, has the ball's colour and the shape of a streak."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toolkit.alpha import AlphaEstimator, Observation
+from toolkit.errors import ConfigError, StreakError
+from toolkit.splines import SplineBasis, fit_spline
+from toolkit.types import LinearImage, NoiseModel, Streak
+
+Mask = NDArray[np.uint8]
+Map = NDArray[np.float32]
+
+MAX_SIDE = 800
+"""px; larger pictures are reduced to this for the search, which a whole streak does not need more than."""
+SMOOTHING = 1.5
+"""px of the reduced picture."""
+MIN_SIGNIFICANCE = 5.0
+"""Smoothed opacity over its standard deviation: one false pixel in a million."""
+MIN_OPACITY = 0.04
+MIN_LIKENESS = 0.6
+"""Share of a pixel's change that the ball's colour must explain; shadows and bystanders fall below."""
+MIN_AREA = 60
+"""px of the reduced picture."""
+CANDIDATES = 6
+AXIS_POINTS = 64
+MIN_ELONGATION = 1.5
+"""Length of a candidate over its width; rounder ones are not streaks."""
+ROI = tuple[int, int, int, int]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Candidate:
+    """A connected region that may be the streak, px of the reduced picture."""
+
+    mask: Mask  # [H, W] 0 or 1
+    axis: NDArray[np.float64]  # [N, 2]
+    length: float
+    half_width: float
+    score: float
+
+
+def find_streak(
+    image: LinearImage,
+    background: LinearImage,
+    noise: NoiseModel,
+    estimator: AlphaEstimator,
+    roi: ROI | None = None,
+) -> Streak:
+    """Find the streak and its rough axis in one picture.
+
+    Args:
+        image: the shot, B = 1.
+        background: the scene without the ball.
+        noise: of the shot.
+        estimator: gives the opacity of every pixel.
+        roi: left, top, width, height in px to search in; the whole picture when None.
+
+    Returns:
+        Streak; the axis runs from tip to tip, to the right in the picture, or down where it is nearer to upright.
+
+    Raises:
+        StreakError: when nothing in the picture looks like the streak of such a ball.
+        ConfigError: when the region lies outside the picture.
+    """
+    factor = max(1, math.ceil(max(image.width, image.height) / MAX_SIDE))
+    observation = estimator.observe(
+        _reduced(image, factor), _reduced(background, factor), _averaged(noise, factor)
+    )
+    opacity, significance, likeness = _evidence(observation, estimator)
+    found = (
+        (significance > MIN_SIGNIFICANCE) & (opacity > MIN_OPACITY) & (likeness > MIN_LIKENESS)
+    ).astype(np.uint8)
+    if roi is not None:
+        found &= _roi_mask(roi, image, factor, found.shape)
+    candidates = sorted(_candidates(found, opacity), key=lambda c: c.score, reverse=True)
+    if not candidates:
+        raise StreakError(_why_nothing(found, significance))
+    best = candidates[0]
+    axis = _forward((best.axis + 0.5) * factor - 0.5)
+    mask = cv2.resize(best.mask, (image.width, image.height), interpolation=cv2.INTER_NEAREST)
+    return Streak(
+        mask=torch.from_numpy(mask).bool()[None, None],
+        axis=torch.from_numpy(axis)[None],
+        half_width=torch.tensor([best.half_width * factor], dtype=torch.float64),
+    )
+
+
+def refine_axis(
+    origin: Tensor, middle: Tensor, weight: Tensor, position: Tensor, half_width: float
+) -> Tensor:
+    """Give a smoother axis through fitted profile centres, continued straight to where the old one ended.
+
+    Args:
+        origin: profile origins [P, 2] px.
+        middle: fitted centre points [P, 2] px.
+        weight: 1 / variance of the centres, 0 for profiles to ignore [P].
+        position: arc length of the origins [P] px.
+        half_width: px; the axis is free to bend on the scale of a few of them.
+
+    Returns:
+        Axis points [1, N, 2] px.
+    """
+    used = weight > 0
+    first, last = float(position[used].min()), float(position[used].max())
+    size = int(min(8, max(2, 2 + (last - first) / (4 * half_width))))
+    basis = SplineBasis(start=first, stop=last, size=size)
+    coefficients, _ = fit_spline(basis, position[used], middle[used], weight[used])
+    inner = position.clamp(first, last)
+    beyond = (position - inner)[:, None]
+    points = basis(inner) @ coefficients + beyond * (basis(inner, 1) @ coefficients)
+    keep = torch.linspace(0, len(points) - 1, AXIS_POINTS).round().long()
+    return points[keep][None]
+
+
+def _reduced(image: LinearImage, factor: int) -> LinearImage:
+    """Average blocks of factor x factor px; an incomplete last block is cut off."""
+    if factor == 1:
+        return image
+    rgb = torch.nn.functional.avg_pool2d(image.rgb, factor)
+    clipped = torch.nn.functional.max_pool2d(image.clipped.to(torch.float32), factor) > 0
+    return replace(image, rgb=rgb, clipped=clipped, mosaic=None, pattern=None)
+
+
+def _averaged(noise: NoiseModel, factor: int) -> NoiseModel:
+    return replace(noise, density=noise.density * factor**2)
+
+
+def _evidence(observation: Observation, estimator: AlphaEstimator) -> tuple[Map, Map, Map]:
+    """Opacity, its significance, and the share of the change that the ball's colour explains, each [H, W]."""
+    alpha, variance = estimator.alpha(observation)
+    information = 1 / variance
+    change = observation.signal - observation.ground
+    energy = (change * change / observation.variance).sum(1, keepdim=True)
+    smooth_information = _smooth(information)
+    smooth = _smooth(alpha * information) / smooth_information.clip(1e-12)
+    std = 1 / np.sqrt(smooth_information * (4 * math.pi * SMOOTHING**2))
+    explained = smooth * smooth * smooth_information
+    # the pixel's own noise is part of its energy, and not of what any colour could explain
+    unexplained = _smooth(energy) - observation.signal.shape[1]
+    likeness = explained / np.maximum(unexplained, explained).clip(1e-12)
+    return smooth, smooth / std, likeness
+
+
+def _smooth(values: Tensor) -> Map:
+    picture = values[0, 0].to(torch.float32).numpy()
+    return cv2.GaussianBlur(picture, (0, 0), SMOOTHING).astype(np.float32)
+
+
+def _roi_mask(roi: ROI, image: LinearImage, factor: int, shape: tuple[int, ...]) -> Mask:
+    left, top, width, height = roi
+    fits = 0 <= left and 0 <= top and left + width <= image.width and top + height <= image.height
+    if not fits or width <= 0 or height <= 0:
+        raise ConfigError(
+            f"region {left},{top},{width},{height} does not lie inside the picture "
+            f"({image.width}x{image.height} px); give X,Y,W,H inside it"
+        )
+    mask = np.zeros(shape, np.uint8)
+    mask[
+        top // factor : -(-(top + height) // factor), left // factor : -(-(left + width) // factor)
+    ] = 1
+    return mask
+
+
+def _candidates(found: Mask, opacity: Map) -> Iterator[Candidate]:
+    """Yield the largest regions that are elongated enough, with their axes."""
+    closed = cv2.morphologyEx(found, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=8)
+    by_area = sorted(range(1, count), key=lambda i: stats[i, cv2.CC_STAT_AREA], reverse=True)
+    for label in by_area[:CANDIDATES]:
+        if stats[label, cv2.CC_STAT_AREA] < MIN_AREA:
+            return
+        mask = _fill_holes((labels == label).astype(np.uint8))
+        axis, half_width = trace_axis(mask)
+        length = float(np.linalg.norm(np.diff(axis, axis=0), axis=1).sum())
+        if length >= MIN_ELONGATION * 2 * half_width:
+            evenness = _evenness(mask, axis, half_width)
+            score = float(opacity[mask > 0].sum()) * evenness
+            yield Candidate(mask=mask, axis=axis, length=length, half_width=half_width, score=score)
+
+
+def _fill_holes(mask: Mask) -> Mask:
+    outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    return cv2.drawContours(np.zeros_like(mask), outlines, -1, 1, cv2.FILLED)
+
+
+def _evenness(mask: Mask, axis: NDArray[np.float64], half_width: float) -> float:
+    """Share of the region that a band of constant width about the axis explains (intersection over union)."""
+    band = np.zeros_like(mask)
+    inner = axis[_between_caps(axis, half_width)]
+    points = np.round(inner).astype(np.int32)[:, None]
+    cv2.polylines(band, [points], isClosed=False, color=1, thickness=max(1, round(2 * half_width)))
+    union = np.count_nonzero(band | mask)
+    return float(np.count_nonzero(band & mask)) / max(union, 1)
+
+
+def _between_caps(axis: NDArray[np.float64], half_width: float) -> NDArray[np.bool_]:
+    length = np.concatenate([[0.0], np.linalg.norm(np.diff(axis, axis=0), axis=1).cumsum()])
+    return np.asarray((length >= half_width) & (length <= length[-1] - half_width))
+
+
+def trace_axis(mask: Mask) -> tuple[NDArray[np.float64], float]:
+    """Trace the middle line of an elongated region, from tip to tip, and its half width.
+
+    Pixels are ordered by their distance from one tip measured inside the region; the middles of equal distances make the
+    line, which therefore follows any bend that does not cross itself. [derived]
+
+    Args:
+        mask: [H, W], 1 inside the region.
+
+    Returns:
+        Points [N, 2] px and the half width, px.
+    """
+    columns, rows = np.nonzero(mask.any(0))[0], np.nonzero(mask.any(1))[0]
+    left, top = int(columns[0]) - 1, int(rows[0]) - 1
+    window = np.pad(mask, 1)[rows[0] : rows[-1] + 3, columns[0] : columns[-1] + 3]
+    ys, xs = np.nonzero(window)
+    tip = _farthest(window, (int(ys[0]), int(xs[0])))
+    distance = _walk(window, _farthest(window, tip))
+    far = distance[ys, xs]
+    half_width = float(cv2.distanceTransform(window, cv2.DIST_L2, 5).max())
+    half_width = min(half_width, mask.sum() / max(2 * float(far.max()), 1.0) * 1.2)
+    points = np.stack([xs + left, ys + top], axis=-1).astype(np.float64)
+    edge = min(half_width, far.max() / 4)
+    inside = (far >= edge) & (far <= far.max() - edge)
+    basis = SplineBasis(
+        start=float(edge),
+        stop=float(far.max() - edge),
+        size=int(np.clip(2 + far.max() / (5 * half_width), 2, 8)),
+    )
+    order = torch.from_numpy(far[inside].astype(np.float64))
+    coefficients, _ = fit_spline(
+        basis, order, torch.from_numpy(points[inside]), torch.ones_like(order)
+    )
+    along = torch.linspace(0, float(far.max()), AXIS_POINTS, dtype=torch.float64)
+    inner = along.clamp(basis.start, basis.stop)
+    line = basis(inner) @ coefficients + (along - inner)[:, None] * (basis(inner, 1) @ coefficients)
+    return line.numpy(), half_width
+
+
+def _farthest(window: Mask, seed: tuple[int, int]) -> tuple[int, int]:
+    distance = _walk(window, seed)
+    row, column = np.unravel_index(int(distance.argmax()), distance.shape)
+    return int(row), int(column)
+
+
+def _walk(window: Mask, seed: tuple[int, int]) -> NDArray[np.float32]:
+    """Steps from the seed to every pixel inside the region, in octagons, scaled to px; -1 where unreached."""
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    square = np.ones((3, 3), np.uint8)
+    reached = np.zeros_like(window)
+    reached[seed] = 1
+    distance = np.where(reached > 0, 0, -1).astype(np.float32)
+    travelled = 0.0
+    while True:
+        # two squares and a cross advance nearly equally far in every direction
+        kernel, step = (cross, 1.0) if int(travelled * 10) % 3 == 0 else (square, 1.0)
+        grown = cv2.dilate(reached, kernel) & window
+        new = (grown > 0) & (reached == 0)
+        if not new.any():
+            return distance
+        travelled += step
+        distance[new] = travelled
+        reached = grown
+
+
+def _forward(axis: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Let the axis run to the right, or down where it is nearer to upright."""
+    dx, dy = axis[-1] - axis[0]
+    runs_forward = dx > 0 if abs(dx) >= abs(dy) else dy > 0
+    return np.ascontiguousarray(axis if runs_forward else axis[::-1])
+
+
+def _why_nothing(found: Mask, significance: Map) -> str:
+    if not found.any():
+        seen = float(significance.max())
+        return (
+            "no ball found: nothing in the picture differs from the background towards the ball's colour "
+            f"(best significance {seen:.1f}, {MIN_SIGNIFICANCE:g} needed); check shot, background and ball colour"
+        )
+    return (
+        "no streak found: what differs from the background is too small or too round; the paper's method needs a streak at "
+        "least twice as long as wide, so expose longer, or point at it with a region"
+    )
