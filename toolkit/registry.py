@@ -1,0 +1,187 @@
+"""Finds the estimators that installed packages declare, and builds the one that was asked for.
+
+A package declares one by an entry point of the group `toolkit.alpha_estimators`; the built-in ones are
+declared in the same way. Listing imports nothing, and building imports the named estimator only.
+"""
+
+import inspect
+import re
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, fields
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, get_type_hints
+
+from toolkit.alpha import API_VERSION, AlphaEstimator
+from toolkit.errors import ConfigError, PluginError, ToolkitError
+from toolkit.files import one_line
+from toolkit.option_text import parse_option
+
+GROUP = "toolkit.alpha_estimators"
+NAME_PATTERN = re.compile(r"[a-z][a-z0-9_-]{0,40}")
+
+# how a user gives what an estimator needs to know about the ball; other fields come by --set
+HOW_TO_GIVE = {
+    "colour": "the ball's colour: --ball-colour R,G,B, or one colour under [ball] colours in the rig",
+    "colours": "the ball's colours: --ball-colour R,G,B for each, or [ball] colours in the rig",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PluginInfo:
+    """One declared estimator, as its package describes it; nothing of it has been imported."""
+
+    name: str
+    distribution: str
+    version: str
+    target: str  # "module:class"
+    problem: str | None = None  # why it cannot be used
+
+
+def installed() -> tuple[PluginInfo, ...]:
+    """List the declared estimators by name, the unusable ones included, without importing any."""
+    points = sorted(entry_points(group=GROUP), key=lambda point: point.name)
+    names = [point.name for point in points]
+    return tuple(_info(point, claims=names.count(point.name)) for point in points)
+
+
+def load(name: str) -> type[AlphaEstimator]:
+    """Import the one estimator called `name`.
+
+    Raises:
+        PluginError: when no or more than one package declares it, it cannot be imported, or it is no
+            finished subclass of AlphaEstimator for this API version.
+    """
+    point = _find(name)
+    try:
+        loaded = point.load()
+    except (Exception, SystemExit) as error:
+        reason = f"{type(error).__name__}: {one_line(error)}"
+        raise PluginError(
+            f"estimator '{name}' of {_owner(point)} cannot be imported ({reason}); "
+            "repair or uninstall that package"
+        ) from error
+    problem = _contract_problem(loaded)
+    if problem is not None:
+        raise PluginError(f"estimator '{name}' of {_owner(point)} {problem}")
+    estimator: type[AlphaEstimator] = loaded
+    return estimator
+
+
+def build(name: str, *, given: Mapping[str, object], options: Mapping[str, str]) -> AlphaEstimator:
+    """Make the estimator called `name`.
+
+    Args:
+        name: of the entry point.
+        given: what is known about the ball ("colour", "colours"); an estimator gets what it has a field
+            for, and the rest does not concern it.
+        options: text by field name, as `--set field=value` writes it; these beat `given`.
+
+    Raises:
+        PluginError: as `load` does, or when the estimator breaks while it is made.
+        ConfigError: when a field is unknown, missing, or has an impossible value.
+    """
+    estimator = load(name)
+    kinds = _option_kinds(name, estimator)
+    values: dict[str, object] = {key: given[key] for key in kinds if key in given}
+    for key, text in options.items():
+        if key not in kinds:
+            known = ", ".join(kinds) or "none"
+            raise ConfigError(f"estimator '{name}' has no field '{key}'; its fields are: {known}")
+        values[key] = parse_option(text, kinds[key], f"field '{key}' of estimator '{name}'")
+    missing = missing_fields(name, estimator, values)
+    if missing:
+        raise ConfigError(f"{name} needs {'; and '.join(missing)}")
+    return _make(name, estimator, values)
+
+
+def missing_fields(
+    name: str, estimator: type[AlphaEstimator], values: Mapping[str, object]
+) -> tuple[str, ...]:
+    """Say in the user's words which required fields of `estimator` are not among `values`."""
+    return tuple(
+        HOW_TO_GIVE.get(field.name, f"its field '{field.name}': --set {field.name}=VALUE")
+        for field in fields(estimator)
+        if field.init
+        and field.default is MISSING
+        and field.default_factory is MISSING
+        and field.name not in values
+    )
+
+
+def _find(name: str) -> EntryPoint:
+    points = [point for point in entry_points(group=GROUP) if point.name == name]
+    if not points:
+        names = ", ".join(sorted({point.name for point in entry_points(group=GROUP)})) or "none"
+        raise PluginError(f"no estimator '{name}' is installed; installed are: {names}")
+    if len(points) > 1:
+        owners = " and ".join(_owner(point) for point in points)
+        raise PluginError(f"estimator '{name}' is declared by {owners}; uninstall one of them")
+    problem = _info(points[0], claims=1).problem
+    if problem is not None:
+        raise PluginError(f"estimator '{name}' of {_owner(points[0])}: {problem}")
+    return points[0]
+
+
+def _info(point: EntryPoint, claims: int) -> PluginInfo:
+    problem = None
+    if not NAME_PATTERN.fullmatch(point.name):
+        problem = f"its name does not match {NAME_PATTERN.pattern}; its author must rename it"
+    elif claims > 1:
+        problem = f"{claims} packages declare this name; uninstall all but one"
+    return PluginInfo(
+        name=point.name,
+        distribution=point.dist.name if point.dist else "unknown",
+        version=point.dist.version if point.dist else "unknown",
+        target=point.value,
+        problem=problem,
+    )
+
+
+def _owner(point: EntryPoint) -> str:
+    info = _info(point, claims=1)
+    return f"{info.distribution} {info.version}"
+
+
+def _contract_problem(loaded: Any) -> str | None:
+    """Say what keeps a loaded object from being an estimator, None when nothing does."""
+    if not isinstance(loaded, type) or not issubclass(loaded, AlphaEstimator):
+        return "is not a subclass of toolkit.AlphaEstimator; its author must derive it from that"
+    if inspect.isabstract(loaded):
+        lacking = ", ".join(sorted(loaded.__abstractmethods__))
+        return f"is unfinished; its author must write {lacking}"
+    if loaded.api_version != API_VERSION:
+        return (
+            f"is written for API version {loaded.api_version!r}, this toolkit has {API_VERSION}; "
+            "install versions that agree"
+        )
+    # without the decorator the fields of the class would be ignored in silence
+    if inspect.get_annotations(loaded) and "__dataclass_params__" not in vars(loaded):
+        return "has fields but is not a dataclass; its author must add @dataclass(frozen=True)"
+    return None
+
+
+def _option_kinds(name: str, estimator: type[AlphaEstimator]) -> dict[str, Any]:
+    """Give the type of each field that can be set."""
+    try:
+        hints = get_type_hints(estimator)
+    except Exception as error:
+        raise PluginError(
+            f"estimator '{name}' has a field type that cannot be read ({one_line(error)}); "
+            "its author must correct it"
+        ) from error
+    return {key: hints[key] for key in estimator.option_names()}
+
+
+def _make(
+    name: str, estimator: type[AlphaEstimator], values: Mapping[str, object]
+) -> AlphaEstimator:
+    try:
+        return estimator(**values)
+    except ToolkitError:
+        raise
+    except Exception as error:
+        reason = f"{type(error).__name__}: {one_line(error)}"
+        raise PluginError(
+            f"estimator '{name}' does not accept its values ({reason}); correct them, or report "
+            "it to its author"
+        ) from error
