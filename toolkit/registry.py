@@ -1,7 +1,7 @@
 """Finds the estimators that installed packages declare, and builds the one that was asked for.
 
-A package declares one by an entry point of the group `toolkit.alpha_estimators`; the built-in ones are
-declared in the same way. Listing imports nothing, and building imports the named estimator only.
+A package declares one by an entry point of the group `toolkit.alpha_estimators`; the built-in ones
+are declared in the same way. Listing imports none of them, building the named one only.
 """
 
 import inspect
@@ -21,8 +21,8 @@ NAME_PATTERN = re.compile(r"[a-z][a-z0-9_-]{0,40}")
 
 # how a user gives what an estimator needs to know about the ball; other fields come by --set
 HOW_TO_GIVE = {
-    "colour": "the ball's colour: --ball-colour R,G,B, or one colour under [ball] colours in the rig",
-    "colours": "the ball's colours: --ball-colour R,G,B for each, or [ball] colours in the rig",
+    "colour": "the ball's colour: --ball-colour R,G,B, or colours under [ball] in the rig",
+    "colours": "the ball's colours: --ball-colour R,G,B each, or colours under [ball] in the rig",
 }
 
 
@@ -48,8 +48,8 @@ def load(name: str) -> type[AlphaEstimator]:
     """Import the one estimator called `name`.
 
     Raises:
-        PluginError: when no or more than one package declares it, it cannot be imported, or it is no
-            finished subclass of AlphaEstimator for this API version.
+        PluginError: when no or more than one package declares it, it cannot be imported, or it is
+            no finished subclass of AlphaEstimator for this API version.
     """
     point = _find(name)
     try:
@@ -72,8 +72,8 @@ def build(name: str, *, given: Mapping[str, object], options: Mapping[str, str])
 
     Args:
         name: of the entry point.
-        given: what is known about the ball ("colour", "colours"); an estimator gets what it has a field
-            for, and the rest does not concern it.
+        given: what is known about the ball ("colour", "colours"); an estimator gets what it has a
+            field for, and the rest does not concern it.
         options: text by field name, as `--set field=value` writes it; these beat `given`.
 
     Raises:

@@ -87,7 +87,7 @@ def as_command(name: str, loaded: Callable[..., Any] | typer.Typer) -> TyperComm
 
 
 def help_line(target: str) -> str:
-    """Read the first docstring line of "module:function" from its source, running no command's code.
+    """Read the first docstring line of "module:function" from its source, running none of it.
 
     The module's own docstring stands in where there is no such function.
     """

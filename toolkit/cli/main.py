@@ -80,15 +80,15 @@ def main(argv: list[str] | None = None) -> int:
         argv: the words after `toolkit`; those of the process when None.
 
     Returns:
-        0 ok, 2 usage, 3 unreadable input, 4 inputs that do not fit, 5 refused, 6 batch with failures,
-        7 environment, 70 a bug, 130 interrupted, 141 the reader of our output left.
+        0 ok, 2 usage, 3 unreadable input, 4 inputs that do not fit, 5 refused, 6 batch with
+        failures, 7 environment, 70 a bug, 130 interrupted, 141 the reader of our output left.
     """
     flags, words = _split_flags(list(sys.argv[1:] if argv is None else argv))
     debug = "--debug" in flags
     with _logging(quiet="--quiet" in flags):
         try:
             code = _run([*flags, *(words or ["--help"])])
-            sys.stdout.flush()  # a full disk or a closed pipe must show here, not after our exit code
+            sys.stdout.flush()  # a full disk or a closed pipe must show before the exit code
             return code
         except BrokenPipeError:
             _drop_stdout()
@@ -138,7 +138,7 @@ def _explain(error: BaseException, debug: bool) -> tuple[int, str]:
 def _split_flags(words: list[str]) -> tuple[list[str], list[str]]:
     """Take --debug and --quiet out, so that they may stand anywhere before a `--`."""
     end = words.index("--") if "--" in words else len(words)
-    flags = [word for word in ("--debug", "--quiet") if word in words[:end]]
+    flags = [word for word in words[:end] if word in ("--debug", "--quiet")]
     return flags, [*(word for word in words[:end] if word not in flags), *words[end:]]
 
 
@@ -159,7 +159,7 @@ def _logging(quiet: bool) -> Iterator[None]:
 
 
 def _drop_stdout() -> None:
-    """Send what is still buffered nowhere, or Python would complain about the closed pipe at exit."""
+    """Send what is still buffered nowhere; Python would complain about the pipe at exit."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, sys.stdout.fileno())
     os.close(nowhere)
