@@ -1,8 +1,8 @@
 """The camera: from points in space to pixels and back, lens distortion included.
 
-Frames, pixels and the order of the distortion coefficients are those of OpenCV, so that numbers move freely between
-the two: camera frame x right, y down, z forward; (0, 0) is the centre of the top-left pixel;
-distortion is k1 k2 p1 p2 [k3 [k4 k5 k6]].
+Frames, pixels and the order of the distortion coefficients are those of OpenCV, so that numbers
+move freely between the two: camera frame x right, y down, z forward; (0, 0) is the centre of the
+top-left pixel; distortion is k1 k2 p1 p2 [k3 [k4 k5 k6]].
 """
 
 from dataclasses import dataclass, replace
@@ -17,14 +17,15 @@ from toolkit.errors import ConfigError, MismatchError
 from toolkit.types import LinearImage
 
 UNDISTORT_STEPS = 12
-"""Newton steps; convergence is quadratic, and 3 or 4 are enough for any lens this model describes."""
+"""Newton steps; convergence is quadratic, and 3 or 4 are enough but near the edge of a fold."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Camera:
     """A pinhole camera with polynomial (4 or 5 coefficients) or rational (8) distortion.
 
-    Source: the OpenCV camera model. `covariance` is that of [fx fy cx cy, distortion...], None when unknown.
+    Source: the OpenCV camera model. `covariance` is that of [fx fy cx cy, distortion...], None when
+    unknown.
     """
 
     MODELS: ClassVar[dict[str, tuple[int, ...]]] = {"pinhole": (0, 4, 5), "rational": (8,)}
@@ -47,7 +48,8 @@ class Camera:
             )
         if len(self.distortion) not in allowed:
             raise ConfigError(
-                f"a {self.model} camera has {len(self.distortion)} distortion coefficients; {allowed} are possible"
+                f"a {self.model} camera has {len(self.distortion)} distortion coefficients;"
+                f" {allowed} are possible"
             )
         numbers = torch.tensor([self.fx, self.fy, self.cx, self.cy, *self.distortion])
         if not bool(torch.isfinite(numbers).all()):
@@ -73,7 +75,7 @@ class Camera:
         return replace(self, width=width, height=height, cx=self.cx - left, cy=self.cy - top)
 
     def resized(self, width: int, height: int) -> "Camera":
-        """Give the camera of the picture resized to width x height; pixel areas, not centres, are scaled."""
+        """Give the camera of the picture resized to width x height; pixel areas are scaled."""
         sx, sy = width / self.width, height / self.height
         scale = torch.ones_like(self.parameters)
         scale[:4] = torch.tensor([sx, sy, sx, sy])
@@ -140,7 +142,7 @@ class Camera:
         return ((identity - unit @ unit.mT) / length)[..., :, :2] @ J_normalised
 
     def undistort(self, pixels: Tensor) -> Tensor:
-        """Give the normalised coordinates (x/z, y/z) seen at each pixel, [..., 2]; NaN where there are none."""
+        """Give the normalised coordinates (x/z, y/z) seen at each pixel, [..., 2], or NaN."""
         distorted = (pixels - self._principal_point(pixels)) / self._focal(pixels)
         if not self.distortion:
             return distorted
@@ -158,7 +160,7 @@ class Camera:
         return torch.where(is_seen[..., None], normalised, torch.nan)
 
     def _fold(self) -> float:
-        """Radius (normalised) up to which radial distortion rises and has no pole; infinite when it always does."""
+        """Normalised radius up to which radial distortion rises and has no pole, or infinity."""
         k1, k2, _, _, k3, k4, k5, k6 = self._coefficients()
         above, below = Polynomial([1, k1, k2, k3]), Polynomial([1, k4, k5, k6])  # in r^2
         # numerator of the derivative of r * above / below
@@ -209,17 +211,17 @@ class Camera:
 
 
 def _inverse_2x2(matrix: Tensor) -> Tensor:
-    """Invert [..., 2, 2]; infinite or NaN where singular, unlike torch.linalg.inv, which fails the whole batch."""
+    """Invert [..., 2, 2]; not finite where singular (torch.linalg.inv fails the whole batch)."""
     (a, b), (c, d) = (row.unbind(-1) for row in matrix.unbind(-2))
     adjugate = torch.stack([torch.stack([d, -b], dim=-1), torch.stack([-c, a], dim=-1)], dim=-2)
     return adjugate / (a * d - b * c)[..., None, None]
 
 
 def fit_camera(camera: Camera, image: LinearImage) -> Camera:
-    """Give the camera of `image`, following a known crop or a whole-number scale where the sizes differ.
+    """Give the camera of `image`, following a known crop or a whole-number scale.
 
-    Other scales are refused although their shape may agree: a sensor crop of the same shape looks alike and
-    has another focal length.
+    Other scales are refused although their shape may agree: a sensor crop of the same shape looks
+    alike and has another focal length.
 
     Raises:
         MismatchError: when the camera was calibrated on another kind of file.
@@ -231,14 +233,13 @@ def fit_camera(camera: Camera, image: LinearImage) -> Camera:
         return camera.cropped(image.crop[0], image.crop[1], *size)
     if _is_whole_number_scale(size, wanted) or _is_whole_number_scale(wanted, size):
         return camera.resized(*size)
+    sizes = f"the picture is {size[0]}x{size[1]} and the camera {wanted[0]}x{wanted[1]}"
     if size == wanted[::-1]:
         raise MismatchError(
-            f"the picture is {size[0]}x{size[1]} and the camera {wanted[0]}x{wanted[1]}: it was turned by 90 degrees;"
-            " use the file as the camera wrote it"
+            f"{sizes}: it was turned by 90 degrees; use the file as the camera wrote it"
         )
     raise MismatchError(
-        f"the picture is {size[0]}x{size[1]} and the camera {wanted[0]}x{wanted[1]}, no known crop or whole-number"
-        " scale of it; calibrate from the same kind of file"
+        f"{sizes}, no known crop or whole-number scale of it; calibrate from the same kind of file"
     )
 
 

@@ -1,0 +1,130 @@
+"""camera.toml: a calibrated camera on disk, in OpenCV's terms."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from toolkit.camera import Camera
+from toolkit.errors import ConfigError
+from toolkit.files import check_keys, read_toml, write_text
+from toolkit.toml_text import to_toml
+
+_REQUIRED = {
+    "width": int,
+    "height": int,
+    "model": str,
+    "fx": float,
+    "fy": float,
+    "cx": float,
+    "cy": float,
+    "distortion": list,
+}
+_OPTIONAL = {"covariance": list, "rms_px": float, "views": int, "images": list}
+
+
+def read_camera(path: Path) -> Camera:
+    """Read a camera.toml.
+
+    Args:
+        path: the file; its `covariance`, `rms_px`, `views` and `images` may be absent.
+
+    Returns:
+        The camera of the picture size the file names; `covariance` None where the file has none.
+
+    Raises:
+        ConfigError: when the file is missing, is no camera file, or a value is unknown,
+            missing or impossible.
+    """
+    where = str(path)
+    table = read_toml(path, "camera")
+    check_keys(where, table, _REQUIRED | _OPTIONAL)
+    missing = [key for key in _REQUIRED if key not in table]
+    if missing:
+        raise ConfigError(f"{where}: {', '.join(missing)} missing; calibrate again")
+    try:
+        camera = Camera(
+            width=table["width"],
+            height=table["height"],
+            model=table["model"],
+            fx=_number(table["fx"]),
+            fy=_number(table["fy"]),
+            cx=_number(table["cx"]),
+            cy=_number(table["cy"]),
+            distortion=tuple(_number(value) for value in table["distortion"]),
+            covariance=_covariance(table),
+        )
+        _check_notes(table)
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from None
+    return camera
+
+
+def write_camera(
+    path: Path, camera: Camera, *, rms_px: float, views: int, images: Sequence[str]
+) -> None:
+    """Write a camera.toml, whole or not at all.
+
+    Args:
+        path: where to; an older file is replaced.
+        camera: what to write.
+        rms_px: root mean square distance between the corners found and those the camera predicts.
+        views: how many photos were used.
+        images: their names.
+
+    Raises:
+        ConfigError: when a number is not finite.
+        EnvironmentFault: when the place cannot be written.
+    """
+    table: dict[str, Any] = {
+        "width": camera.width,
+        "height": camera.height,
+        "model": camera.model,
+        **{name: float(getattr(camera, name)) for name in ("fx", "fy", "cx", "cy")},
+        "distortion": [float(value) for value in camera.distortion],
+    }
+    if camera.covariance is not None:
+        table["covariance"] = camera.covariance.tolist()
+    table |= {"rms_px": float(rms_px), "views": views, "images": list(images)}
+    write_text(path, to_toml("camera", table))
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ConfigError(f"{value!r:.40} stands where a number is needed")
+    try:
+        return float(value)
+    except OverflowError:
+        raise ConfigError("a number has hundreds of digits; calibrate again") from None
+
+
+def _check_notes(table: dict[str, Any]) -> None:
+    """Check the keys that only people read, so that a spoilt file is noticed."""
+    if not 0 <= table.get("rms_px", 0.0) < float("inf"):
+        raise ConfigError(f"rms_px is {table['rms_px']}; a finite length in pixels is needed")
+    if table.get("views", 0) < 0 or not all(isinstance(n, str) for n in table.get("images", [])):
+        raise ConfigError("views must be a count and images a list of names")
+
+
+def _covariance(table: dict[str, Any]) -> Tensor | None:
+    """Give the checked covariance of [fx fy cx cy, distortion...], [4 + K, 4 + K] float64."""
+    if "covariance" not in table:
+        return None
+    rows, size = table["covariance"], 4 + len(table["distortion"])
+    if len(rows) != size or not all(isinstance(row, list) and len(row) == size for row in rows):
+        raise ConfigError(f"covariance is not {size}x{size}, of [fx fy cx cy, distortion...]")
+    values = [[_number(value) for value in row] for row in rows]
+    covariance = torch.tensor(values, dtype=torch.float64)
+    if not bool(torch.isfinite(covariance).all()):
+        raise ConfigError("covariance holds a value that is not a finite number; calibrate again")
+    # unit diagonal first: the entries span twelve orders of magnitude, px^2 beside k^2
+    scale = covariance.diagonal().clamp_min(0).sqrt()
+    scale = torch.where(scale > 0, scale, 1)
+    correlation = covariance / scale / scale[:, None]
+    if not torch.allclose(correlation, correlation.mT, atol=1e-6):
+        raise ConfigError("covariance is not symmetric; calibrate again")
+    if float(torch.linalg.eigvalsh(correlation).min()) < -1e-6:
+        raise ConfigError("covariance has a negative eigenvalue, so it is none; calibrate again")
+    return covariance

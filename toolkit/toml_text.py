@@ -1,0 +1,56 @@
+"""Writing the project's own small TOML files; the standard library only reads them."""
+
+import json
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from toolkit.errors import ConfigError
+
+
+def to_toml(kind: str, table: Mapping[str, Any]) -> str:
+    """Give the text of a flat TOML file whose `schema` is "toolkit.<kind>/1".
+
+    Args:
+        kind: what the file describes, as `toolkit.files.read_toml` wants it.
+        table: keys with text, finite numbers, booleans, or lists of them, also nested.
+
+    Raises:
+        ConfigError: naming the key, when a number is not finite.
+
+    Example:
+        >>> print(to_toml("lens", {"f": 2.0, "names": ["a"]}), end="")
+        schema = "toolkit.lens/1"
+        f = 2.0
+        names = ["a"]
+    """
+    lines = [f'schema = "toolkit.{kind}/1"']
+    lines += [f"{key} = {_value(value, key)}" for key, value in table.items()]
+    return "\n".join(lines) + "\n"
+
+
+def _value(value: Any, key: str) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return _text(value)
+    if isinstance(value, list | tuple):
+        return _list(value, key)
+    if isinstance(value, int):
+        return repr(value)
+    if not math.isfinite(value):
+        raise ConfigError(f"'{key}' holds {value}, which no file may carry; only finite numbers")
+    return repr(float(value))
+
+
+def _list(values: list[Any] | tuple[Any, ...], key: str) -> str:
+    parts = [_value(value, key) for value in values]
+    if any(isinstance(value, list | tuple) for value in values):  # a matrix: one row a line
+        return "[\n" + "".join(f"    {part},\n" for part in parts) + "]"
+    return f"[{', '.join(parts)}]"
+
+
+def _text(text: str) -> str:
+    """Quote as JSON does and escape DEL too; bytes of a file name that are no text become '?'."""
+    whole = text.encode("utf-8", "replace").decode("utf-8")
+    return json.dumps(whole, ensure_ascii=False).replace("\x7f", "\\u007f")
