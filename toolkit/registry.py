@@ -88,14 +88,14 @@ def build(name: str, *, given: Mapping[str, object], options: Mapping[str, str])
             known = ", ".join(kinds) or "none"
             raise ConfigError(f"estimator '{name}' has no field '{key}'; its fields are: {known}")
         values[key] = parse_option(text, kinds[key], f"field '{key}' of estimator '{name}'")
-    missing = missing_fields(name, estimator, values)
+    missing = missing_fields(estimator, values)
     if missing:
         raise ConfigError(f"{name} needs {'; and '.join(missing)}")
     return _make(name, estimator, values)
 
 
 def missing_fields(
-    name: str, estimator: type[AlphaEstimator], values: Mapping[str, object]
+    estimator: type[AlphaEstimator], values: Mapping[str, object]
 ) -> tuple[str, ...]:
     """Say in the user's words which required fields of `estimator` are not among `values`."""
     return tuple(

@@ -1,0 +1,296 @@
+"""From files and what the user knows to a measurement: the inputs of one shot, gathered and checked.
+
+What the caller says beats the rig, and the rig beats what the picture's file tells.
+"""
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from toolkit import registry
+from toolkit.alpha import AlphaEstimator
+from toolkit.camera import Camera
+from toolkit.camera_file import fit_camera, read_camera
+from toolkit.errors import ConfigError, ImageError, MismatchError
+from toolkit.files import sha256
+from toolkit.imaging import read_background, read_image
+from toolkit.measurement import Caution, InputFile, Inputs, Measurement
+from toolkit.pipeline import measure
+from toolkit.rig import Colour, Rig, read_rig
+from toolkit.types import LinearImage
+
+DEFAULT_ESTIMATOR = "uniform"
+RIG_NAME, CAMERA_NAME = "rig.toml", "camera.toml"
+
+Roi = tuple[int, int, int, int]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShotInputs:
+    """All that one measurement needs, read and checked."""
+
+    image: LinearImage
+    background: LinearImage
+    camera: Camera  # of the picture as read
+    ball_radius: float  # metre
+    ball_radius_std: float  # metre
+    exposure: float | None  # second
+    exposure_std: float  # second
+    estimator: AlphaEstimator
+    estimator_name: str
+    roi: Roi | None  # left, top, width, height px
+    inputs: Inputs
+    provenance: Mapping[str, str]  # "measured" where somebody or the file says so, else "assumed"
+    read_time: float  # second it took to read the files
+
+
+def load_shot(
+    shot: str | Path,
+    *,
+    rig: str | Path | None = None,
+    camera: str | Path | None = None,
+    background: Sequence[str | Path] = (),
+    ball_radius: float | None = None,
+    ball_radius_std: float | None = None,
+    exposure: float | None = None,
+    response: str | Path | None = None,
+    estimator: str | None = None,
+    options: Mapping[str, str] | None = None,
+    ball_colours: Sequence[Colour] = (),
+    roi: Roi | None = None,
+    frame: int | None = None,
+) -> ShotInputs:
+    """Read a shot and everything that is needed to measure it.
+
+    A rig.toml in the shot's folder is used by itself, and so is a camera.toml where neither the
+    caller nor the rig names a camera.
+
+    Args:
+        shot: the picture, or a video together with `frame`.
+        rig: a rig.toml.
+        camera: a camera.toml.
+        background: pictures of the same scene without the ball.
+        ball_radius: metre.
+        ball_radius_std: its standard deviation, metre; 0 when nobody says.
+        exposure: second; else the rig's, else that of the file.
+        response: "linear", "srgb", the name of a curve, or a response.toml.
+        estimator: name of the estimator; "uniform" when nobody says.
+        options: text by field name of the estimator, as `--set` writes it.
+        ball_colours: linear R,G,B of the ball, sensor white = 1, one for each pigment.
+        roi: left, top, width, height of the part that holds the streak, px.
+        frame: which picture of a video.
+
+    Raises:
+        ConfigError: naming everything that is missing, or a value that is impossible.
+        PluginError: when the estimator is unknown or broken.
+        ImageError: when a picture cannot be read.
+        MismatchError: when shot, background and camera do not belong together.
+    """
+    said = Rig(
+        camera=None if camera is None else Path(camera),
+        response=response,
+        ball_radius=ball_radius,
+        ball_radius_std=ball_radius_std,
+        ball_colours=tuple(ball_colours),
+        exposure=exposure,
+        background=tuple(Path(path) for path in background),
+        estimator=estimator,
+        options=options or {},
+    )
+    shot = Path(shot)
+    if not shot.exists():
+        raise ImageError(f"{shot} does not exist; give the path of a picture or video")
+    settings = said.over(_find_rig(shot, None if rig is None else Path(rig)))
+    return _read_shot(_plan(shot, settings), roi, frame)
+
+
+def measure_shot(shot: ShotInputs) -> Measurement:
+    """Measure a shot that `load_shot` has read.
+
+    Raises:
+        StreakError: when no trustworthy measurement is possible; the text says why.
+    """
+    start = time.perf_counter()
+    measurement = measure(
+        shot.image,
+        shot.background,
+        camera=shot.camera,
+        ball_radius=shot.ball_radius,
+        ball_radius_std=shot.ball_radius_std,
+        exposure=shot.exposure,
+        exposure_std=shot.exposure_std,
+        estimator=shot.estimator,
+        roi=shot.roi,
+    )
+    seconds = {"read": shot.read_time, "measure": time.perf_counter() - start}
+    return replace(
+        measurement,
+        inputs=shot.inputs,
+        estimator=shot.estimator_name,
+        provenance={**measurement.provenance, **shot.provenance},
+        warnings=(*_cautions(shot), *measurement.warnings),
+        timing_s={**measurement.timing_s, **seconds},
+    )
+
+
+def refuse_shot(shot: ShotInputs, reason: str) -> Measurement:
+    """Give the result of a shot that cannot be measured."""
+    return replace(
+        Measurement.refused(reason),
+        inputs=shot.inputs,
+        estimator=shot.estimator_name,
+        provenance=shot.provenance,
+        warnings=_cautions(shot),
+        timing_s={"read": shot.read_time},
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Plan:
+    """What to read, once nothing is missing any more."""
+
+    shot: Path
+    camera: Path
+    ball_radius: float
+    estimator: AlphaEstimator
+    estimator_name: str
+    settings: Rig
+
+
+def _find_rig(shot: Path, rig: Path | None) -> Rig:
+    beside = shot.parent / RIG_NAME
+    if rig is None and not beside.is_file():
+        return Rig()
+    return read_rig(rig or beside)
+
+
+def _plan(shot: Path, settings: Rig) -> _Plan:
+    """Check what is known before any picture is read; everything missing is named at once."""
+    beside = shot.parent / CAMERA_NAME
+    camera = settings.camera or (beside if beside.is_file() else None)
+    radius = settings.ball_radius
+    name = settings.estimator or DEFAULT_ESTIMATOR
+    known = {**_facts(settings.ball_colours), **settings.options}
+    missing = [
+        *([] if camera else [f"a camera: --camera F, or {CAMERA_NAME} beside the shot"]),
+        *([] if settings.background else ["a picture without the ball: --background F"]),
+        *(["the ball's radius: --radius METRES"] if radius is None else []),
+        *registry.missing_fields(registry.load(name), known),
+    ]
+    if camera is None or radius is None or missing:
+        raise ConfigError(f"{shot} cannot be measured without {'; and '.join(missing)}")
+    _check_numbers(radius, settings)
+    estimator = registry.build(name, given=_facts(settings.ball_colours), options=settings.options)
+    return _Plan(
+        shot=shot,
+        camera=camera,
+        ball_radius=float(radius),
+        estimator=estimator,
+        estimator_name=name,
+        settings=settings,
+    )
+
+
+def _read_shot(plan: _Plan, roi: Roi | None, frame: int | None) -> ShotInputs:
+    start = time.perf_counter()
+    settings = plan.settings
+    camera = read_camera(plan.camera)
+    image = read_image(plan.shot, response=settings.response, frame=frame)
+    background = read_background(settings.background, response=settings.response)
+    _check_size(plan.shot, image, settings.background[0], background)
+    _check_roi(roi, image)
+    return ShotInputs(
+        image=image,
+        background=background,
+        camera=fit_camera(camera, image),
+        ball_radius=plan.ball_radius,
+        ball_radius_std=float(settings.ball_radius_std or 0.0),
+        exposure=_exposure(settings, image),
+        exposure_std=float(settings.exposure_std or 0.0),
+        estimator=plan.estimator,
+        estimator_name=plan.estimator_name,
+        roi=roi,
+        inputs=Inputs(
+            shot=_fingerprint(plan.shot),
+            background=tuple(_fingerprint(path) for path in settings.background),
+            camera=_fingerprint(plan.camera),
+        ),
+        provenance=_provenance(settings, image),
+        read_time=time.perf_counter() - start,
+    )
+
+
+def _facts(colours: tuple[Colour, ...]) -> dict[str, object]:
+    """Say what is known about the ball under the names that estimators use for their fields."""
+    if len(colours) == 1:
+        return {"colour": colours[0], "colours": colours}
+    return {"colours": colours} if colours else {}
+
+
+def _check_numbers(ball_radius: float, settings: Rig) -> None:
+    positive = {"the ball's radius": ball_radius, "the exposure time": settings.exposure}
+    spreads = {
+        "the standard deviation of the ball's radius": settings.ball_radius_std,
+        "the standard deviation of the exposure time": settings.exposure_std,
+    }
+    for name, value in positive.items():
+        if value is not None and not (math.isfinite(value) and value > 0):
+            raise ConfigError(f"{name} is {value:g}; a positive number is needed (metres, seconds)")
+    for name, value in spreads.items():
+        if value is not None and not (math.isfinite(value) and value >= 0):
+            raise ConfigError(f"{name} is {value:g}; zero or a positive number is needed")
+
+
+def _check_size(shot: Path, image: LinearImage, other: Path, background: LinearImage) -> None:
+    sizes = [f"{picture.width}x{picture.height}" for picture in (image, background)]
+    if sizes[0] != sizes[1]:
+        raise MismatchError(
+            f"{shot} has {sizes[0]} pixels but the background {other} has {sizes[1]}; "
+            "take both with the same settings"
+        )
+
+
+def _check_roi(roi: Roi | None, image: LinearImage) -> None:
+    if roi is None:
+        return
+    left, top, width, height = roi
+    fits = left + width <= image.width and top + height <= image.height
+    if min(left, top) < 0 or min(width, height) <= 0 or not fits:
+        raise ConfigError(
+            f"roi {left},{top},{width},{height} (left, top, width, height) is not inside the "
+            f"picture of {image.width}x{image.height} pixels"
+        )
+
+
+def _exposure(settings: Rig, image: LinearImage) -> float | None:
+    if settings.exposure is not None:
+        return float(settings.exposure)
+    return None if image.exposure is None else float(image.exposure[0])
+
+
+def _provenance(settings: Rig, image: LinearImage) -> dict[str, str]:
+    sources = {
+        "camera": True,
+        "response": not image.response_is_assumed,
+        "ball_radius": True,
+        "ball_radius_std": settings.ball_radius_std is not None,
+    }
+    if _exposure(settings, image) is not None:
+        sources |= {"exposure": True, "exposure_std": settings.exposure_std is not None}
+    return {key: "measured" if known else "assumed" for key, known in sources.items()}
+
+
+def _cautions(shot: ShotInputs) -> tuple[Caution, ...]:
+    if not shot.image.response_is_assumed:
+        return ()
+    text = (
+        f"the response '{shot.image.response}' is only assumed, and a wrong one shifts the result; "
+        "use RAW, or name it with --response"
+    )
+    return (Caution(code="response_assumed", message=text),)
+
+
+def _fingerprint(path: Path) -> InputFile:
+    return InputFile(path=str(path), sha256=sha256(path))
