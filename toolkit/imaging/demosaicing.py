@@ -1,0 +1,96 @@
+"""From a mosaic to three colours, linearly: noise stays noise of known size and negative values stay."""
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.errors import ConfigError
+
+Pattern = tuple[tuple[int, ...], ...]
+
+_RED_OR_BLUE = np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]], np.float32) / 4
+_GREEN = np.array([[0, 1, 0], [1, 4, 1], [0, 1, 0]], np.float32) / 4
+_WIDE = np.outer([1, 2, 3, 2, 1], [1, 2, 3, 2, 1]).astype(np.float32)
+
+
+def demosaic(
+    mosaic: NDArray[np.float32], pattern: Pattern, method: str = "bilinear"
+) -> NDArray[np.float32]:
+    """Fill in the two colours that each pixel of a mosaic did not measure; measured values stay as they are.
+
+    Args:
+        mosaic: light [H, W].
+        pattern: channel (0 R, 1 G, 2 B) of the mosaic's first rows and columns, repeated over it.
+        method: a name in `DEMOSAICERS`.
+
+    Returns:
+        Light [3, H, W].
+
+    Raises:
+        ConfigError: when the method is unknown.
+
+    Example:
+        >>> bool((demosaic(np.full((4, 6), 0.5, np.float32), ((0, 1), (1, 2))) == 0.5).all())
+        True
+    """
+    if method not in DEMOSAICERS:
+        raise ConfigError(
+            f"demosaicing method '{method}' is unknown; use one of {', '.join(DEMOSAICERS)}"
+        )
+    return DEMOSAICERS[method](mosaic, pattern)
+
+
+def is_bayer(pattern: Pattern) -> bool:
+    """Tell whether a pattern is 2 x 2 with its two greens on a diagonal."""
+    flat = [c for row in pattern for c in row]
+    return sorted(flat) == [0, 1, 1, 2] and len(pattern) == 2 and (flat[0] == 1) == (flat[3] == 1)
+
+
+def reach(pattern: Pattern) -> int:
+    """Give how many pixels away a mosaic value still has a part in a demosaiced one."""
+    return 1 if is_bayer(pattern) else 2
+
+
+def _bilinear(mosaic: NDArray[np.float32], pattern: Pattern) -> NDArray[np.float32]:
+    """Normalised convolution (Knutsson & Westin 1993), which for a Bayer mosaic is bilinear interpolation.
+
+    The border is mirrored about the outermost pixels: for a period of 2 the pattern goes on across it, so that
+    the kernels need no normalisation there.
+    """
+    if not is_bayer(pattern):
+        return _convolve_any(mosaic, pattern)
+    rgb = np.zeros((3, *mosaic.shape), np.float32)
+    for row, channels in enumerate(pattern):
+        for column, channel in enumerate(channels):
+            rgb[channel, row::2, column::2] = mosaic[row::2, column::2]
+    for channel, kernel in enumerate((_RED_OR_BLUE, _GREEN, _RED_OR_BLUE)):
+        rgb[channel] = cv2.filter2D(rgb[channel], -1, kernel, borderType=cv2.BORDER_REFLECT_101)
+    return rgb
+
+
+def _convolve_any(mosaic: NDArray[np.float32], pattern: Pattern) -> NDArray[np.float32]:
+    """Do the same for any pattern that shows each colour in every 5 x 5 pixels, such as X-Trans."""
+    channels = tile(np.asarray(pattern), mosaic.shape)
+    rgb = np.empty((3, *mosaic.shape), np.float32)
+    for channel in range(3):
+        seen = (channels == channel).astype(np.float32)
+        weight = cv2.filter2D(seen, -1, _WIDE, borderType=cv2.BORDER_CONSTANT)
+        total = cv2.filter2D(mosaic * seen, -1, _WIDE, borderType=cv2.BORDER_CONSTANT)
+        rgb[channel] = np.where(seen > 0, mosaic, total / weight)
+    return rgb
+
+
+def tile(period: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
+    """Repeat a small array over a picture of `shape` [H, W]."""
+    repeats = [-(-length // step) for length, step in zip(shape, period.shape, strict=True)]
+    return np.tile(period, repeats)[: shape[0], : shape[1]]
+
+
+DEMOSAICERS: Mapping[str, Callable[[NDArray[np.float32], Pattern], NDArray[np.float32]]] = (
+    MappingProxyType({"bilinear": _bilinear})
+)
+"""The methods by name."""
