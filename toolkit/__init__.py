@@ -15,14 +15,23 @@ _HOME = {
     "EnvironmentFault": "toolkit.errors",
     "ImageError": "toolkit.errors",
     "LinearImage": "toolkit.types",
+    "Measurement": "toolkit.measurement",
     "MismatchError": "toolkit.errors",
     "NoiseModel": "toolkit.types",
     "Observation": "toolkit.alpha",
     "PluginError": "toolkit.errors",
     "ProfileFlag": "toolkit.types",
     "ShapeError": "toolkit.errors",
+    "ShotInputs": "toolkit.shot",
     "StreakError": "toolkit.errors",
     "ToolkitError": "toolkit.errors",
+    "draw_overlay": "toolkit.report",
+    "load_shot": "toolkit.shot",
+    "measure": "toolkit.pipeline",
+    "measure_shot": "toolkit.shot",
+    "read_background": "toolkit.imaging",
+    "read_camera": "toolkit.camera_file",
+    "read_image": "toolkit.imaging",
 }
 
 __all__ = sorted(_HOME)

@@ -2,6 +2,7 @@ from toolkit.alpha import AlphaEstimator as AlphaEstimator
 from toolkit.alpha import Chord as Chord
 from toolkit.alpha import Observation as Observation
 from toolkit.camera import Camera as Camera
+from toolkit.camera_file import read_camera as read_camera
 from toolkit.errors import CalibrationError as CalibrationError
 from toolkit.errors import ConfigError as ConfigError
 from toolkit.errors import EnvironmentFault as EnvironmentFault
@@ -11,6 +12,14 @@ from toolkit.errors import PluginError as PluginError
 from toolkit.errors import ShapeError as ShapeError
 from toolkit.errors import StreakError as StreakError
 from toolkit.errors import ToolkitError as ToolkitError
+from toolkit.imaging import read_background as read_background
+from toolkit.imaging import read_image as read_image
+from toolkit.measurement import Measurement as Measurement
+from toolkit.pipeline import measure as measure
+from toolkit.report import draw_overlay as draw_overlay
+from toolkit.shot import ShotInputs as ShotInputs
+from toolkit.shot import load_shot as load_shot
+from toolkit.shot import measure_shot as measure_shot
 from toolkit.types import LinearImage as LinearImage
 from toolkit.types import NoiseModel as NoiseModel
 from toolkit.types import ProfileFlag as ProfileFlag

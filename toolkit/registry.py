@@ -8,7 +8,8 @@ import inspect
 import re
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
-from importlib.metadata import EntryPoint, entry_points
+from importlib import metadata
+from importlib.metadata import EntryPoint
 from typing import Any, get_type_hints
 
 from toolkit.alpha import API_VERSION, AlphaEstimator
@@ -39,7 +40,7 @@ class PluginInfo:
 
 def installed() -> tuple[PluginInfo, ...]:
     """List the declared estimators by name, the unusable ones included, without importing any."""
-    points = sorted(entry_points(group=GROUP), key=lambda point: point.name)
+    points = sorted(metadata.entry_points(group=GROUP), key=lambda point: point.name)
     names = [point.name for point in points]
     return tuple(_info(point, claims=names.count(point.name)) for point in points)
 
@@ -109,9 +110,12 @@ def missing_fields(
 
 
 def _find(name: str) -> EntryPoint:
-    points = [point for point in entry_points(group=GROUP) if point.name == name]
+    points = [point for point in metadata.entry_points(group=GROUP) if point.name == name]
     if not points:
-        names = ", ".join(sorted({point.name for point in entry_points(group=GROUP)})) or "none"
+        names = (
+            ", ".join(sorted({point.name for point in metadata.entry_points(group=GROUP)}))
+            or "none"
+        )
         raise PluginError(f"no estimator '{name}' is installed; installed are: {names}")
     if len(points) > 1:
         owners = " and ".join(_owner(point) for point in points)

@@ -62,7 +62,7 @@ def read_rig(path: Path) -> Rig:
     """Read a rig.toml; its paths are relative to the folder it lies in.
 
     Raises:
-        ConfigError: when the file is missing or no rig file, a key is unknown, or a value impossible.
+        ConfigError: when the file is missing or no rig file, or a key or value is impossible.
     """
     table = read_toml(path, "rig")
     check_keys(str(path), table, dict.fromkeys([*_SECTIONS, "measure"], dict))

@@ -1,4 +1,4 @@
-"""From files and what the user knows to a measurement: the inputs of one shot, gathered and checked.
+"""From files and what the user knows to a measurement: all inputs of a shot, gathered and checked.
 
 What the caller says beats the rig, and the rig beats what the picture's file tells.
 """

@@ -3,8 +3,8 @@
 import ast
 from collections.abc import Callable, Mapping
 from difflib import get_close_matches
-from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
+from importlib import import_module, metadata
+from importlib.metadata import EntryPoint
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, ClassVar
@@ -110,4 +110,4 @@ def owner(point: EntryPoint) -> str:
 
 
 def _strangers(built_in: Mapping[str, str]) -> list[EntryPoint]:
-    return [point for point in entry_points(group=GROUP) if point.name not in built_in]
+    return [point for point in metadata.entry_points(group=GROUP) if point.name not in built_in]

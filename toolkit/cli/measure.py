@@ -1,0 +1,153 @@
+"""toolkit measure: one shot in, one measurement out."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from toolkit.errors import ConfigError, StreakError
+
+if TYPE_CHECKING:
+    from toolkit.measurement import Measurement
+
+
+def measure(
+    shot: Annotated[Path, typer.Argument(metavar="SHOT", help="The picture with the streak.")],
+    rig: Annotated[
+        Path | None,
+        typer.Option(metavar="F", help="rig.toml; the one in the shot's folder is used by itself."),
+    ] = None,
+    camera: Annotated[
+        Path | None, typer.Option(metavar="F", help="camera.toml; by default beside the shot.")
+    ] = None,
+    background: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="F", help="A picture without the ball; repeat it for several."),
+    ] = None,
+    radius: Annotated[
+        float | None, typer.Option(metavar="METRES", help="The ball's radius.")
+    ] = None,
+    radius_std: Annotated[
+        float | None, typer.Option(metavar="METRES", help="Its standard deviation.")
+    ] = None,
+    exposure: Annotated[
+        float | None,
+        typer.Option(metavar="SECONDS", help="The exposure time; by default the file's own."),
+    ] = None,
+    response: Annotated[
+        str | None,
+        typer.Option(metavar="NAME|F", help="linear, srgb, a curve's name, or a response.toml."),
+    ] = None,
+    estimator: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="How the ball is told from its background [uniform]."),
+    ] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="FIELD=VALUE", help="An option of the estimator; repeatable."
+        ),
+    ] = None,
+    ball_colour: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="R,G,B", help="The ball's linear colour, sensor white = 1; twice for two."
+        ),
+    ] = None,
+    roi: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y,W,H", help="The part of the picture that holds the streak, px."),
+    ] = None,
+    frame: Annotated[
+        int | None, typer.Option(metavar="N", help="Which picture of a video, from 0.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="F.json", help="Write the measurement here.")
+    ] = None,
+    overlay: Annotated[
+        Path | None, typer.Option(metavar="F.png", help="Draw what was found on the shot.")
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Measure the ball of one shot: position, direction, speed and path, each with its uncertainty.
+
+    What is said here beats the rig, and the rig beats what the shot's file tells. Without an
+    exposure time position and direction are measured, but no speed.
+    """
+    _check_outputs(out, overlay, inputs=[shot, camera, rig, *(background or [])])
+    options = _options(set_ or [])
+    colours = _colours(ball_colour or [])
+    corner_and_size = _roi(roi)
+
+    from toolkit.report import summarise, write_overlay
+    from toolkit.shot import load_shot, measure_shot, refuse_shot
+
+    loaded = load_shot(
+        shot,
+        rig=rig,
+        camera=camera,
+        background=background or (),
+        ball_radius=radius,
+        ball_radius_std=radius_std,
+        exposure=exposure,
+        response=response,
+        estimator=estimator,
+        options=options,
+        ball_colours=colours,
+        roi=corner_and_size,
+        frame=frame,
+    )
+    try:
+        measurement = measure_shot(loaded)
+    except StreakError as error:
+        _hand_out(refuse_shot(loaded, str(error)), out, json)
+        raise
+    if overlay is not None:
+        write_overlay(overlay, loaded.image, measurement)
+    _hand_out(measurement, out, json)
+    if not json:
+        typer.echo(summarise(measurement))
+
+
+def _hand_out(measurement: "Measurement", out: Path | None, json: bool) -> None:
+    from toolkit.files import write_text
+
+    text = measurement.to_json()
+    if out is not None:
+        write_text(out, text + "\n")
+    if json:
+        typer.echo(text)
+
+
+def _check_outputs(out: Path | None, overlay: Path | None, inputs: list[Path | None]) -> None:
+    """Refuse results that would replace an input, or a picture format that is not drawn."""
+    if overlay is not None and overlay.suffix.lower() != ".png":
+        raise ConfigError(f"--overlay is {overlay}; its name must end in .png")
+    taken = {path.resolve() for path in inputs if path is not None}
+    for flag, path in (("--out", out), ("--overlay", overlay)):
+        if path is not None and path.resolve() in taken:
+            raise ConfigError(f"{flag} is {path}, an input; choose another name")
+        if path is not None and not path.parent.is_dir():
+            raise ConfigError(f"{flag} is {path}, but there is no folder {path.parent}; make it")
+
+
+def _options(words: list[str]) -> dict[str, str]:
+    options = {}
+    for word in words:
+        name, equals, value = word.partition("=")
+        if not equals:
+            raise ConfigError(f"--set is '{word}'; FIELD=VALUE is needed")
+        options[name] = value
+    return options
+
+
+def _colours(texts: list[str]) -> list[tuple[float, float, float]]:
+    from toolkit.option_text import parse_option
+
+    return [parse_option(text, tuple[float, float, float], "--ball-colour") for text in texts]
+
+
+def _roi(text: str | None) -> tuple[int, int, int, int] | None:
+    from toolkit.option_text import parse_option
+
+    return None if text is None else parse_option(text, tuple[int, int, int, int], "--roi")

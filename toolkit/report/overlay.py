@@ -1,0 +1,118 @@
+"""What was found, drawn on the shot."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from toolkit.files import write_whole
+from toolkit.measurement import ContourPoints, Measurement, ProfileTable
+from toolkit.types import LinearImage
+
+Picture = NDArray[np.uint8]
+Colour = tuple[int, int, int]
+
+# R, G, B; told apart by people with any colour vision (Okabe and Ito)
+CONTOUR: Colour = (240, 228, 66)
+AXIS: Colour = (86, 180, 233)
+GOOD_PROFILE: Colour = (0, 158, 115)
+LEFT_OUT_PROFILE: Colour = (213, 94, 0)
+
+REFERENCE_SIZE = 1400  # px of the longer side for which lines are one pixel wide
+SUBPIXEL_BITS = 4  # OpenCV draws in units of 1/16 px
+
+
+def draw_overlay(image: LinearImage, measurement: Measurement) -> Picture:
+    """Draw profiles, contours and axis on the whole shot.
+
+    Args:
+        image: the shot, one picture.
+        measurement: what was found on it; parts that are None are not drawn.
+
+    Returns:
+        sRGB picture [H, W, 3] of 8 bits, R first; the shot's brightness is stretched to be seen.
+    """
+    picture = _visible(image)
+    pen = max(1, round(max(image.width, image.height) / REFERENCE_SIZE))
+    contours = measurement.contours
+    if contours is not None:
+        if measurement.profiles is not None:
+            _draw_profiles(picture, measurement.profiles, contours, pen)
+        is_open = measurement.sign is None or measurement.sign.ambiguous
+        _draw_axis(picture, contours, pen, arrow=not is_open)
+        _draw_line(picture, np.array(contours.left), CONTOUR, pen)
+        _draw_line(picture, np.array(contours.right), CONTOUR, pen)
+    return picture
+
+
+def write_overlay(path: Path, image: LinearImage, measurement: Measurement) -> None:
+    """Write `draw_overlay` as a PNG, whole or not at all.
+
+    Raises:
+        EnvironmentFault: when the place cannot be written.
+    """
+    picture = draw_overlay(image, measurement)
+    _, encoded = cv2.imencode(".png", picture[..., ::-1])
+    with write_whole(path) as temporary:
+        temporary.write_bytes(encoded.tobytes())
+
+
+def _visible(image: LinearImage) -> Picture:
+    """Turn light into sRGB with the 99.5th percentile near white, never darker than it was."""
+    light = image.rgb[0].permute(1, 2, 0).cpu().numpy()
+    gain = max(1.0, 0.9 / max(float(np.percentile(light[::4, ::4], 99.5)), 1e-3))
+    light = np.clip(light * gain, 0, 1)
+    curved = np.where(
+        light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-6) ** (1 / 2.4) - 0.055
+    )
+    return np.ascontiguousarray(np.rint(255 * curved).astype(np.uint8))
+
+
+def _draw_profiles(
+    picture: Picture, profiles: ProfileTable, contours: ContourPoints, pen: int
+) -> None:
+    """Draw each profile from edge to edge, across the axis; the finite ones only."""
+    centre = np.array(profiles.centre_px, dtype=float).reshape(-1, 2)
+    reach = np.array(profiles.half_width_px, dtype=float)[:, None] * _normals(centre, contours)
+    ends = np.stack([centre - reach, centre + reach], axis=1)
+    for flag, line in zip(profiles.flags, ends, strict=True):
+        _draw_line(picture, line, GOOD_PROFILE if flag == 0 else LEFT_OUT_PROFILE, pen)
+
+
+def _normals(points: NDArray[Any], contours: ContourPoints) -> NDArray[Any]:
+    """Give the unit vector across the axis where it passes nearest to each point, [P, 2]."""
+    axis = _middle(contours)
+    along = np.gradient(axis, axis=0)
+    nearest = np.linalg.norm(points[:, None] - axis, axis=-1).argmin(1)
+    across: NDArray[Any] = np.stack([-along[:, 1], along[:, 0]], axis=-1)[nearest]
+    across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-9)
+    return across
+
+
+def _middle(contours: ContourPoints) -> NDArray[Any]:
+    return (np.array(contours.left, dtype=float) + np.array(contours.right, dtype=float)) / 2
+
+
+def _draw_axis(picture: Picture, contours: ContourPoints, pen: int, *, arrow: bool) -> None:
+    """Draw the axis, with an arrow head where the sign of the motion is settled."""
+    axis = _middle(contours)
+    _draw_line(picture, axis, AXIS, pen)
+    if arrow:
+        step = axis[-1] - axis[-2]
+        back = axis[-1] - step / max(float(np.linalg.norm(step)), 1e-9) * 14 * pen
+        side = np.array([-step[1], step[0]]) / max(float(np.linalg.norm(step)), 1e-9) * 7 * pen
+        _draw_line(picture, np.array([back - side, axis[-1], back + side]), AXIS, pen)
+
+
+def _draw_line(
+    picture: Picture, points: NDArray[Any] | Sequence[Any], colour: Colour, pen: int
+) -> None:
+    points = np.asarray(points, dtype=float)
+    # far outside the picture OpenCV's fixed-point coordinates would wrap round
+    if len(points) < 2 or not np.isfinite(points).all() or np.abs(points).max() > 1e6:
+        return
+    fixed = np.rint(points * (1 << SUBPIXEL_BITS)).astype(np.int32)
+    cv2.polylines(picture, [fixed], False, colour, pen, cv2.LINE_AA, SUBPIXEL_BITS)
