@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from toolkit.synthetic.backgrounds import Colour
-from toolkit.synthetic.paths import Vector
+from toolkit.synthetic.paths import Vector, turned
 
 Appearance = Callable[[Tensor, float], Tensor]
 
@@ -45,11 +45,12 @@ class LambertBall:
         """Give the light at each normal, [N, 3]."""
         light = _unit(self.light, normal)
         shade = self.ambient + (1 - self.ambient) * (normal @ light).clamp_min(0)
-        # half-way vector between lamp and camera; the view is taken along z, as for a distant ball
-        halfway = light - torch.tensor([0.0, 0.0, 1.0], dtype=normal.dtype)
-        halfway = halfway / torch.linalg.vector_norm(halfway)
+        # half-way between lamp and camera; the view is taken along z, as for a distant ball
+        halfway = _unit((0.0, 0.0, -1.0), normal) + light
+        halfway = torch.nn.functional.normalize(halfway, dim=0)
         shine = self.highlight * (normal @ halfway).clamp_min(0) ** self.gloss
-        return shade[:, None] * torch.tensor(self.colour, dtype=normal.dtype) + shine[:, None]
+        colour = torch.tensor(self.colour, dtype=normal.dtype)
+        return torch.outer(shade, colour) + shine[:, None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,15 +73,10 @@ class StripedBall:
         return torch.where(is_second[:, None], second, first)
 
     def _pole_at(self, time: float, like: Tensor) -> Tensor:
-        pole = _unit(self.pole, like)
-        rate = math.hypot(*self.spin)
-        if rate == 0:
-            return pole
-        k, angle = _unit(self.spin, like), rate * time
-        turned = pole * math.cos(angle) + torch.linalg.cross(k, pole) * math.sin(angle)
-        return turned + k * (k @ pole) * (1 - math.cos(angle))
+        spin = torch.tensor(self.spin, dtype=like.dtype)
+        angle = torch.linalg.vector_norm(spin) * torch.full((1,), time, dtype=like.dtype)
+        return turned(_unit(self.pole, like), spin, angle)[0]
 
 
 def _unit(vector: Vector, like: Tensor) -> Tensor:
-    values = torch.tensor(vector, dtype=like.dtype)
-    return values / torch.linalg.vector_norm(values)
+    return torch.nn.functional.normalize(torch.tensor(vector, dtype=like.dtype), dim=0)

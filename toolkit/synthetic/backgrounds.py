@@ -36,18 +36,17 @@ def textured_background(
         [3, H, W], never below zero.
     """
     generator = np.random.default_rng([seed, 101])
-    texture = torch.zeros(1, 3, height, width)
     octaves = max(2, int(math.log2(max(width, height))) - 1)
-    for octave in range(1, octaves + 1):
-        cell = 2**octave
-        size = (1, 3, height // cell + 2, width // cell + 2)
-        lightness = generator.standard_normal((1, 1, *size[2:]))
-        hue = generator.standard_normal(size)
-        grid = torch.from_numpy((lightness + hue).astype(np.float32))
+    texture = torch.zeros(1, 3, 1, 1)
+    for octave in range(octaves, 0, -1):
+        rows, columns = height // 2**octave + 2, width // 2**octave + 2
+        lightness = generator.standard_normal((1, 1, rows, columns), dtype=np.float32)
+        hue = generator.standard_normal((1, 3, rows, columns), dtype=np.float32)
         # finer detail is weaker, as in natural pictures
-        texture += cell**0.5 * interpolate(
-            grid, size=(height, width), mode="bicubic", align_corners=False
+        texture = _enlarged(texture, rows, columns) + 2 ** (octave / 2) * torch.from_numpy(
+            lightness + hue
         )
+    texture = _enlarged(texture, height, width)
     texture = contrast * texture / texture.abs().max()
     return (flat_background(width, height, colour) + texture[0]).clamp_min(0)
 
@@ -55,7 +54,9 @@ def textured_background(
 def panelled_background(
     width: int, height: int, *, colour: Colour = GREY, contrast: float = 0.1, seed: int = 0
 ) -> Tensor:
-    """Give a room's wall: upright panels of different shades over a floor, with sharp edges, [3, H, W].
+    """Give a room's wall: upright panels of different shades over a floor, [3, H, W].
+
+    Its edges are sharp.
 
     Args:
         width: columns.
@@ -79,8 +80,12 @@ def panelled_background(
 def checked_background(
     width: int, height: int, *, colour: Colour = GREY, contrast: float = 0.1, square: int = 16
 ) -> Tensor:
-    """Give a checker of two shades, `colour` plus and minus `contrast`, in squares of `square` px, [3, H, W]."""
+    """Give a checker of `colour` plus and minus `contrast` in squares of `square` px, [3, H, W]."""
     rows = torch.arange(height)[:, None] // square
     columns = torch.arange(width) // square
     sign = 1 - 2 * ((rows + columns) % 2).float()
     return (flat_background(width, height, colour) + contrast * sign).clamp_min(0)
+
+
+def _enlarged(picture: Tensor, height: int, width: int) -> Tensor:
+    return interpolate(picture, size=(height, width), mode="bicubic", align_corners=False)

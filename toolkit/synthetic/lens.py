@@ -1,4 +1,4 @@
-"""The lens as the renderers use it: viewing rays on a grid finer than the pixels, and the blur of a point."""
+"""The lens as the renderers use it: rays on a grid finer than the pixels, and the point spread."""
 
 import math
 from dataclasses import dataclass
@@ -40,8 +40,9 @@ class Window:
 def normalised_grid(camera: Camera, window: Window, supersampling: int) -> Tensor:
     """Give the normalised coordinates (x/z, y/z) seen by a grid of sub-pixels.
 
-    The distortion is inverted exactly on nodes 8 px apart and interpolated between them by local cubics; over that
-    distance a lens is so smooth that the error stays below a millionth of a pixel (tested).
+    The distortion is inverted exactly on nodes 8 px apart and interpolated between them by local
+    cubics; over that distance a lens is so smooth that the error stays below a millionth of a pixel
+    (tested).
 
     Args:
         camera: the camera.
@@ -63,25 +64,27 @@ def normalised_grid(camera: Camera, window: Window, supersampling: int) -> Tenso
             "the camera's distortion cannot be inverted over the picture;"
             " use weaker distortion or a smaller picture"
         )
-    return down @ nodes @ across.mT
+    grid: Tensor = down @ nodes @ across.mT
+    return grid
 
 
 def unit_rays(normalised: Tensor) -> Tensor:
     """Give the unit viewing rays [3, H, W] of normalised coordinates [2, H, W]."""
     rays = torch.cat([normalised, torch.ones_like(normalised[:1])])
-    return rays / torch.linalg.vector_norm(rays, dim=0)
+    return torch.nn.functional.normalize(rays, dim=0)
 
 
 def mean_over_pixels(samples: Array, supersampling: int) -> Array:
     """Average sub-pixels [C, H * s, W * s] over their pixels, [C, H, W]."""
     channels, height, width = samples.shape
     s = supersampling
-    cells: Array = samples.reshape(channels, height // s, s, width // s, s)
-    return cells.mean(axis=(2, 4), dtype=np.float32)
+    cells = samples.reshape(channels, height // s, s, width // s, s)
+    means: Array = cells.mean(axis=(2, 4), dtype=np.float32)
+    return means
 
 
 def blur(samples: Array, sigma: float) -> Array:
-    """Convolve each channel [C, H, W] with a Gaussian of `sigma` samples; the border repeats the outermost sample."""
+    """Blur each channel [C, H, W] by a Gaussian of `sigma` samples; the border is repeated."""
     return _convolve(samples, _gaussian(sigma)) if sigma > 0 else samples
 
 
@@ -128,7 +131,7 @@ def _convolve(picture: Array, kernel: NDArray[np.float64]) -> Array:
 
 
 def _nodes_and_weights(first: int, count: int, supersampling: int) -> tuple[Tensor, Tensor]:
-    """Node coordinates [M] px, and the cubic weights [count * supersampling, M] from them to the sub-pixels."""
+    """Node coordinates [M] px, and cubic weights [count * supersampling, M] to the sub-pixels."""
     nodes = torch.arange(-1, math.ceil(count / NODE_SPACING) + 3) * NODE_SPACING + first - 0.5
     s = supersampling
     at = (torch.arange(count * s, dtype=torch.float64) + 0.5) / (s * NODE_SPACING)

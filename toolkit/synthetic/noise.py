@@ -24,7 +24,7 @@ class NoiseLevel:
 
 
 def add_noise(clean: Tensor, noise: NoiseLevel, seed: int, stream: int = 0) -> Tensor:
-    """Give a noisy copy of a picture, cut at sensor white; below zero it stays as it is, as on a real sensor.
+    """Give a noisy copy of a picture, cut at sensor white but not at zero, as on a real sensor.
 
     Args:
         clean: mean light, any shape, white = 1.

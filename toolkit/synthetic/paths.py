@@ -67,8 +67,9 @@ class ParabolicPath(BallPath):
 class BouncingPath(BallPath):
     """Free flight with one bounce off a level floor.
 
-    The floor is a plane of constant y (which points down); the centre turns back at `contact_height`, one ball radius
-    above it. The exposure is taken to be too short for a second bounce.
+    The floor is a plane of constant y (which points down); the centre turns back at
+    `contact_height`, one ball radius above it. The exposure is taken to be too short for a second
+    bounce.
     """
 
     start: Vector
@@ -84,7 +85,8 @@ class BouncingPath(BallPath):
     def __post_init__(self) -> None:
         if not (0 <= self.restitution <= 1 and 0 <= self.tangential_loss <= 1):
             raise ConfigError(
-                f"restitution {self.restitution} and tangential loss {self.tangential_loss} must lie in 0..1"
+                f"restitution {self.restitution} and tangential loss {self.tangential_loss}"
+                " must lie in 0..1"
             )
         if self.start[1] >= self.contact_height:
             raise ConfigError(
@@ -163,24 +165,29 @@ class CircularPath(BallPath):
 
     def velocity(self, time: Tensor) -> Tensor:
         """Give the velocity, [T, 3] m/s."""
-        return self._turned(
-            self.rate * torch.linalg.cross(self._unit_axis, _vector(self.arm)), time
-        )
-
-    @property
-    def _unit_axis(self) -> Tensor:
-        axis = _vector(self.axis)
-        return axis / torch.linalg.vector_norm(axis)
+        axis = torch.nn.functional.normalize(_vector(self.axis), dim=0)
+        return self._turned(self.rate * torch.linalg.cross(axis, _vector(self.arm)), time)
 
     def _turned(self, vector: Tensor, time: Tensor) -> Tensor:
-        """Turn `vector` [3] about the axis for each time (Rodrigues), [T, 3]."""
-        angle = (self.rate * time.double())[:, None]
-        k = self._unit_axis
-        return (
-            vector * torch.cos(angle)
-            + torch.linalg.cross(k, vector) * torch.sin(angle)
-            + k * (k @ vector) * (1 - torch.cos(angle))
-        )
+        return turned(vector, _vector(self.axis), self.rate * time.double())
+
+
+def turned(vector: Tensor, axis: Tensor, angle: Tensor) -> Tensor:
+    """Turn `vector` [3] right-handed about `axis` [3], of any length, by each angle [T] rad.
+
+    Source: Rodrigues' formula.
+
+    Returns:
+        [T, 3].
+    """
+    k = torch.nn.functional.normalize(axis, dim=0)
+    cosine, sine = angle.cos()[:, None], angle.sin()[:, None]
+    result: Tensor = (
+        vector * cosine
+        + torch.linalg.cross(k, vector) * sine
+        + k * torch.dot(k, vector) * (1 - cosine)
+    )
+    return result
 
 
 def _vector(values: Vector) -> Tensor:

@@ -1,4 +1,4 @@
-"""Shots with known truth: the mean of many sharp images of a ball, through a lens, onto a noisy sensor."""
+"""Shots with known truth: many sharp images of a ball, averaged, blurred and made noisy."""
 
 from dataclasses import dataclass, field
 
@@ -89,9 +89,11 @@ def render_shot(
 ) -> RenderedShot:
     """Render a shot by brute force, with its background picture and the truth.
 
-    C = blur(alpha F + (1 - alpha) B) where the picture of the background is blur(B), each with its own noise. The ball's
-    part is taken on sub-pixels; B is constant within a pixel, which makes the blur of both consistent and exact.
-    Source: Caglioti & Giusti 2007, eq. (1). Deviation: the lens's point spread and sensor noise are added.
+    C = blur(alpha F + (1 - alpha) B) where the picture of the background is blur(B), each with its
+    own noise. The ball's part is taken on sub-pixels; B is constant within a pixel, which makes the
+    blur of both consistent and exact.
+    Source: Caglioti & Giusti 2007, eq. (1). Deviation: the lens's point spread and sensor noise are
+    added.
 
     Args:
         scene: what to render.

@@ -1,4 +1,4 @@
-"""Scenes to render: the benchmark against which accuracy is quoted, and one of every kind of motion."""
+"""The benchmark scene, against which every accuracy is quoted."""
 
 import math
 
@@ -85,7 +85,7 @@ def benchmark_scene(
 
 
 def contrasting_colour(background: Tensor, contrast: float) -> Colour:
-    """Give an orange that differs from every pixel of `background` [3, H, W] by `contrast` or more (Euclidean norm).
+    """Give an orange at least `contrast` (Euclidean norm) from each pixel of background [3, H, W].
 
     Raises:
         ConfigError: when that colour leaves 0..1.
@@ -96,7 +96,8 @@ def contrasting_colour(background: Tensor, contrast: float) -> Colour:
     red, green, blue = (mean + (contrast + spread) * direction).tolist()
     if not (0 <= min(red, green, blue) and max(red, green, blue) <= 1):
         raise ConfigError(
-            f"a ball colour at contrast {contrast} from this background leaves 0..1; ask for less contrast"
+            f"a ball colour at contrast {contrast} from this background leaves 0..1;"
+            " ask for less contrast"
         )
     return (red, green, blue)
 
@@ -141,7 +142,8 @@ def _direction(heading: float, tilt: float) -> Vector:
 def _travel(image_travel: float, distance: float, tilt: float) -> float:
     """Length of the path in metres whose centre moves by `image_travel` in normalised coordinates.
 
-    With s half the travel: image_travel = 2 s cos(tilt) distance / (distance^2 - s^2 sin(tilt)^2), solved for s.
+    With s half the travel: image_travel = 2 s cos(tilt) distance / (distance^2 - s^2 sin(tilt)^2),
+    solved for s.
     """
     flat, deep = math.cos(tilt) * distance, image_travel * math.sin(tilt)
     return 2 * image_travel * distance**2 / (flat + math.hypot(flat, deep * distance))
@@ -156,7 +158,7 @@ def _path_through(
     sagitta: float,
     exposure: float,
 ) -> StraightPath | ParabolicPath:
-    """The path that is at `middle` at mid-exposure, moving along `direction`, bent towards `bend`."""
+    """The path through `middle` at mid-exposure, moving along `direction`, bent towards `bend`."""
     m, d, b = (np.array(vector) for vector in (middle, direction, bend))
     speed = travel / exposure
     if sagitta == 0:

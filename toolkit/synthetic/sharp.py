@@ -1,6 +1,7 @@
-"""The mean of many sharp images of a ball: every sub-pixel's ray is tested against the sphere at every instant.
+"""The mean of many sharp images of a ball.
 
-No closed form of a streak is used here, so that the result can stand as independent truth.
+Every sub-pixel's ray is tested against the sphere at every instant. No closed form of a streak is
+used here, so that the result can stand as independent truth.
 """
 
 import math
@@ -42,8 +43,8 @@ def expose_ball(
 ) -> BallLight:
     """Average the ball's sharp images over the exposure.
 
-    The instants are the mid-points of equal slices of the exposure. A unit ray u meets the ball at C exactly when
-    |C x u| <= R in front of the camera, that is when C.u >= sqrt(|C|^2 - R^2).
+    The instants are the mid-points of equal slices of the exposure. A unit ray u meets the ball at
+    C exactly when |C x u| <= R in front of the camera, that is when C.u >= sqrt(|C|^2 - R^2).
 
     Args:
         camera: the camera.
@@ -104,7 +105,7 @@ def _instants(
 
 
 def _boxes(limb: Tensor) -> Tensor:
-    """Whole pixels [T, 4] (left, top, right, bottom; the last two excluded) that hold the ball at each instant."""
+    """Pixels [T, 4] that hold the ball: left, top, right, bottom, the last two excluded."""
     # 64 points on the rim miss at most 0.12 % of its radius
     low, high = limb.amin(dim=1), limb.amax(dim=1)
     slack = 1 + 0.0013 * (high - low)
@@ -132,7 +133,7 @@ class _Exposure:
         ball_radius: float,
         appearance: Appearance,
     ) -> None:
-        # 32-bit rays are kept relative to one of them: their differences are small, so nothing is lost
+        # relative to one ray the others are small numbers, so that 32 bits lose nothing
         self.origin: NDArray[np.float64] = rays[:, rays.shape[1] // 2, rays.shape[2] // 2].numpy()
         self.rays: Array = (rays.numpy() - self.origin[:, None, None]).astype(np.float32)
         self.window = window
@@ -184,7 +185,7 @@ class _Exposure:
     def _normals(
         self, rays: Array, along: NDArray[np.float64], centre: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Outward normals [3, N] where the rays enter the ball; `along` is the ray's product with the centre."""
+        """Outward normals [3, N] where the rays enter the ball; `along` is centre times ray."""
         u = rays + self.origin[:, None]
         inside = along**2 - float(centre @ centre) + self.ball_radius**2
         depth = along - np.sqrt(np.maximum(inside, 0))

@@ -12,8 +12,9 @@ def true_contours(
 ) -> Tensor:
     """Give the two contours of the tube the ball sweeps, as seen by the camera.
 
-    The tube touches the ball along the circle of normals n perpendicular to the motion; a viewing ray grazes it there
-    where n.(C + R n) = 0, so n.C = -R, which has two solutions in the plane across the motion.
+    The tube touches the ball along the circle of normals n perpendicular to the motion; a viewing
+    ray grazes it there where n.(C + R n) = 0, so n.C = -R, which has two solutions in the plane
+    across the motion.
     Source: derived; the tube is the canal surface of Caglioti & Giusti 2007, section 4.
 
     Args:
@@ -24,8 +25,9 @@ def true_contours(
         count: points along each contour, at equal steps of time.
 
     Returns:
-        [2, count, 2] px, first the contour on the left when walking along the motion in the image, then the right one;
-        NaN where the ball moves so directly towards or away from the camera that the tube hides within the ball.
+        [2, count, 2] px, first the contour on the left when walking along the motion in the image,
+        then the right one; NaN where the ball moves so directly towards or away from the camera
+        that the tube hides within the ball.
     """
     time = torch.linspace(0, exposure, count, dtype=torch.float64)
     centre, velocity = path.position(time), path.velocity(time)
