@@ -187,9 +187,11 @@ class Measurement:
         )
 
     def to_json(self) -> str:
-        """Write the measurement as one JSON object; no key is ever missing, no number ever NaN."""
-        table = {"schema": SCHEMA, **to_plain(self)}
-        return json.dumps(table, allow_nan=False, ensure_ascii=False)
+        """Write the measurement as one JSON object; no key is ever missing, no number ever NaN.
+
+        One line of ASCII: any terminal can print it, even with a file name that is not valid text.
+        """
+        return json.dumps({"schema": SCHEMA, **to_plain(self)}, allow_nan=False)
 
     @classmethod
     def from_json(cls, text: str) -> "Measurement":

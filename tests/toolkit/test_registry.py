@@ -1,0 +1,175 @@
+import sys
+
+import pytest
+
+from toolkit import AlphaEstimator, ConfigError, PluginError, registry
+
+HEAD = """
+from dataclasses import dataclass
+from toolkit import AlphaEstimator
+
+class Base(AlphaEstimator):
+    def observe(self, image, background, noise): ...
+    def foreground(self, chord, appearance): ...
+"""
+
+GOOD = (
+    HEAD
+    + """
+@dataclass(frozen=True, kw_only=True)
+class Good(Base):
+    colour: tuple[float, float, float]
+    gloss: float = 0.5
+    steps: int = 3
+    careful: bool = False
+    label: str = "x"
+    weights: tuple[float, ...] = ()
+    limit: float | None = 1.0
+    def __post_init__(self):
+        if self.steps > 100:
+            raise ValueError("too many steps")
+"""
+)
+
+
+def make(**options: str) -> AlphaEstimator:
+    return registry.build("good", given={"colour": (0.1, 0.2, 0.3), "colours": ()}, options=options)
+
+
+def test_installed_lists_without_importing(declare):
+    module = declare(GOOD, "good = :Good")
+    (info,) = registry.installed()
+    assert (info.name, info.distribution, info.version) == ("good", "shop", "1.5")
+    assert info.target == f"{module}:Good"
+    assert info.problem is None
+    assert module not in sys.modules
+
+
+def test_load_imports_only_the_named_estimator(declare):
+    good = declare(GOOD, "good = :Good")
+    other = declare("raise SystemExit('never import me')", "other = :Other", distribution="rival")
+    assert issubclass(registry.load("good"), AlphaEstimator)
+    assert good in sys.modules
+    assert other not in sys.modules
+
+
+def test_built_ins_are_declared_like_strangers():
+    assert "uniform" in [info.name for info in registry.installed()]
+    assert registry.load("uniform").__name__ == "Uniform"
+
+
+def test_unknown_name_lists_the_installed_ones(declare):
+    declare(GOOD, "good = :Good", "better = :Good")
+    with pytest.raises(PluginError, match=r"no estimator 'best' is installed.*: better, good"):
+        registry.load("best")
+
+
+def test_two_owners_are_both_named_and_stop_nothing_else(declare):
+    declare(GOOD, "good = :Good", "fine = :Good")
+    declare(GOOD, "good = :Good", distribution="rival")
+    with pytest.raises(
+        PluginError, match=r"declared by (shop 1.5 and rival|rival 1.5 and shop) 1.5"
+    ):
+        registry.load("good")
+    assert registry.load("fine")
+    problems = {info.name: info.problem for info in registry.installed()}
+    assert problems["fine"] is None
+    assert "2 packages" in str(problems["good"])
+
+
+@pytest.mark.parametrize(
+    ("source", "reason"),
+    [
+        ("import nonexistent_package_x", "cannot be imported .*No module named 'nonexistent"),
+        ("raise SystemExit(3)", "cannot be imported .*SystemExit: 3"),
+        ("Good = 3 +", "cannot be imported .*SyntaxError"),
+        ("Best = 1", "cannot be imported .*has no attribute 'Good'"),
+        ("class Good: ...", "is not a subclass"),
+        ("Good = 3", "is not a subclass"),
+        ("from toolkit import AlphaEstimator as Good", "is unfinished; .*foreground, observe"),
+        (HEAD + "class Good(Base):\n    api_version = 99", "is written for API version 99"),
+        (HEAD + "class Good(Base):\n    gloss: float = 1", "has fields but is not a dataclass"),
+    ],
+)
+def test_broken_estimator_is_one_line(declare, source, reason):
+    declare(source, "good = :Good")
+    with pytest.raises(PluginError, match=rf"^estimator 'good' of shop 1.5 {reason}") as caught:
+        registry.load("good")
+    assert "\n" not in str(caught.value)
+
+
+def test_bad_name_is_refused(declare):
+    declare(GOOD, "Not-Good = :Good")
+    with pytest.raises(PluginError, match="name does not match"):
+        registry.load("Not-Good")
+
+
+def test_build_passes_only_facts_with_a_field(declare):
+    declare(GOOD, "good = :Good")
+    assert make().colour == (0.1, 0.2, 0.3)
+
+
+@pytest.mark.parametrize(
+    ("field", "text", "value"),
+    [
+        ("gloss", "2.5e-1", 0.25),
+        ("steps", "7", 7),
+        ("careful", "yes", True),
+        ("careful", "false", False),
+        ("label", "a=b,c", "a=b,c"),
+        ("weights", "1,2.5", (1.0, 2.5)),
+        ("colour", "1,0,0.5", (1.0, 0.0, 0.5)),
+        ("limit", "none", None),
+        ("limit", "3", 3.0),
+    ],
+)
+def test_option_is_read_by_the_type_of_its_field(declare, field, text, value):
+    declare(GOOD, "good = :Good")
+    assert getattr(make(**{field: text}), field) == value
+
+
+@pytest.mark.parametrize(
+    ("field", "text", "reason"),
+    [
+        ("gloss", "shiny", "field 'gloss' of estimator 'good' is 'shiny'; a number is needed"),
+        ("gloss", "nan", "a finite number is needed"),
+        ("steps", "1.5", "a whole number is needed"),
+        ("careful", "maybe", "true or false is needed"),
+        ("colour", "1,2", "3 values with commas"),
+        ("color", "1,2,3", "has no field 'color'; its fields are: colour, gloss, steps"),
+    ],
+)
+def test_bad_option_is_a_config_error(declare, field, text, reason):
+    declare(GOOD, "good = :Good")
+    with pytest.raises(ConfigError, match=reason):
+        make(**{field: text})
+
+
+def test_missing_fact_is_named_in_the_users_words():
+    with pytest.raises(
+        ConfigError, match="uniform needs the ball's colour: --ball-colour R,G,B, or"
+    ):
+        registry.build("uniform", given={}, options={})
+
+
+def test_missing_other_field_is_reached_by_set(declare):
+    source = HEAD + "@dataclass(frozen=True, kw_only=True)\nclass Good(Base):\n    gloss: float\n"
+    declare(source, "good = :Good")
+    with pytest.raises(ConfigError, match="good needs its field 'gloss': --set gloss=VALUE"):
+        registry.build("good", given={}, options={})
+
+
+def test_estimator_that_breaks_on_its_values(declare):
+    declare(GOOD, "good = :Good")
+    with pytest.raises(PluginError, match=r"does not accept its values \(ValueError: too many"):
+        make(steps="101")
+
+
+def test_field_type_that_cannot_be_read(declare):
+    source = (
+        HEAD
+        + "@dataclass(frozen=True, kw_only=True)\nclass Good(Base):\n    gloss: 'Nowhere' = 1\n"
+    )
+    declare(source, "good = :Good")
+    with pytest.raises(PluginError, match="field type that cannot be read"):
+        registry.build("good", given={}, options={})
