@@ -1,0 +1,203 @@
+"""`toolkit calibrate`: photos of a checkerboard in, camera.toml out."""
+
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from toolkit.errors import CalibrationError, ConfigError, ToolkitError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from calibration.corners import View
+    from calibration.intrinsics import Calibration
+
+SCHEMA = "toolkit.calibration/1"
+
+
+def calibrate(
+    images: Annotated[
+        list[str] | None,
+        typer.Option("--images", metavar="PHOTO...", help="Photos of a checkerboard."),
+    ] = None,
+    # a shell expands --images chess/*.jpg to one option and many words: these are the words
+    more: Annotated[list[str] | None, typer.Argument(hidden=True)] = None,
+    board: Annotated[
+        str | None,
+        typer.Option(metavar="CxR", help="Inner corners, e.g. 9x6; found when not given."),
+    ] = None,
+    square: Annotated[
+        float | None,
+        typer.Option(metavar="M", help="Side of a square in metres, for the poses only."),
+    ] = None,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Where the camera goes.")] = Path(
+        "camera.toml"
+    ),
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Calibrate a camera from photos of a checkerboard."""
+    paths = expand([*(images or []), *(more or [])])
+    size = parse_board(board)
+    if not out.absolute().parent.is_dir():
+        raise ConfigError(f"--out {out}: its folder does not exist; create it or choose another")
+    from calibration.corners import find_boards
+    from calibration.intrinsics import calibrate_views, check_request
+
+    check_request(paths, size, square)
+    with _progress(len(paths)) as on_photo:
+        views = find_boards(paths, board=size, on_photo=on_photo)
+    try:
+        result = calibrate_views(views, square=square)
+    except ToolkitError as error:
+        _report_failure(views, error, json)
+        raise
+    _write(out, result)
+    typer.echo(_json_text(result, out, square) if json else _text(result, out))
+
+
+def expand(words: Sequence[str]) -> list[Path]:
+    """Give the photos that words name; a word that is no file but a pattern stands for its matches.
+
+    Raises:
+        ConfigError: when there is no word, or a pattern matches nothing.
+    """
+    from glob import glob, has_magic
+
+    if not words:
+        raise ConfigError("no photos were given; use --images chess/*.jpg")
+    paths: list[Path] = []
+    for word in words:
+        if Path(word).exists() or not has_magic(word):
+            paths.append(Path(word))
+            continue
+        matches = sorted(glob(word, recursive=True))
+        if not matches:
+            raise ConfigError(f"--images {word}: no file matches; check the folder and the ending")
+        paths += map(Path, matches)
+    return paths
+
+
+def parse_board(text: str | None) -> tuple[int, int] | None:
+    """Read a board size such as "9x6".
+
+    Raises:
+        ConfigError: when it is not two numbers from 3 to 99 with an x between them.
+    """
+    if text is None:
+        return None
+    match = re.fullmatch(r"\s*(\d{1,2})\s*[xX×]\s*(\d{1,2})\s*", text, re.ASCII)
+    if match is None or min(map(int, match.groups())) < 3:
+        raise ConfigError(f"--board '{text}' is no size; count inner corners, as in 9x6, 3x3 least")
+    columns, rows = map(int, match.groups())
+    return columns, rows
+
+
+@contextmanager
+def _progress(count: int) -> Iterator["Callable[[Path], None]"]:
+    """Show a bar on stderr while photos are read, on a terminal that was not asked to be quiet."""
+    import logging
+    import sys
+
+    from rich.console import Console
+    from rich.progress import Progress
+
+    is_silent = not (
+        sys.stderr.isatty() and logging.getLogger("toolkit").isEnabledFor(logging.INFO)
+    )
+    with Progress(console=Console(stderr=True), transient=True, disable=is_silent) as bar:
+        task = bar.add_task("reading photos", total=count)
+        yield lambda path: bar.advance(task)
+
+
+def _report_failure(views: "Sequence[View]", error: ToolkitError, json: bool) -> None:
+    """Name every photo that failed on stderr; print the refusal as JSON where that was asked."""
+    import logging
+
+    for view in views:
+        if not view.is_used:
+            logging.getLogger("toolkit").warning("%s", _line(view))
+    if json and isinstance(error, CalibrationError):
+        from json import dumps
+
+        refusal = {"schema": SCHEMA, "status": "refused", "reason": str(error)}
+        typer.echo(dumps(refusal | {"views": [_plain_view(view) for view in views]}))
+
+
+def _write(out: Path, result: "Calibration") -> None:
+    from toolkit.camera_file import write_camera
+
+    names = [view.path.name for view in result.used]
+    write_camera(out, result.camera, rms_px=result.rms_px, views=len(names), images=names)
+
+
+def _line(view: "View") -> str:
+    """Describe a view in one line; control characters in names are not sent to a terminal."""
+    name = "".join(c if c.isprintable() else "?" for c in str(view.path))
+    if view.is_used:
+        return f"{name}: {view.corner_count} corners, {view.rms_px:.2f} px"
+    reason = "".join(c if c.isprintable() else "?" for c in view.reason)
+    return f"left out: {reason}" if name in reason else f"{name}: left out: {reason}"
+
+
+def _text(result: "Calibration", out: Path) -> str:
+    camera = result.camera
+    std = _std(result)
+    numbers = ", ".join(
+        f"{name} {getattr(camera, name):.2f} ± {std[name]:.2f}" for name in ("fx", "fy", "cx", "cy")
+    )
+    return "\n".join(
+        [
+            *(_line(view) for view in result.views),
+            *(f"warning: {caution.message}" for caution in result.warnings),
+            f"board {result.board[0]}x{result.board[1]}, {len(result.used)} of {len(result.views)}"
+            f" photos used, RMS {result.rms_px:.2f} px",
+            f"{numbers} px; {len(camera.distortion)} distortion coefficients",
+            f"wrote {out}",
+        ]
+    )
+
+
+def _std(result: "Calibration") -> dict[str, float]:
+    assert result.camera.covariance is not None  # a calibrated camera has one
+    values = result.camera.covariance.diagonal().sqrt().tolist()
+    return dict(zip(("fx", "fy", "cx", "cy"), values, strict=False))
+
+
+def _json_text(result: "Calibration", out: Path, square: float | None) -> str:
+    from json import dumps
+
+    from toolkit.plain_data import to_plain
+
+    camera = result.camera
+    assert camera.covariance is not None  # a calibrated camera has one
+    names = ("width", "height", "model", "fx", "fy", "cx", "cy", "distortion")
+    table: dict[str, Any] = {
+        "schema": SCHEMA,
+        "status": "ok",
+        "reason": None,
+        "out": str(out),
+        "board": result.board,
+        "rms_px": result.rms_px,
+        "camera": {name: getattr(camera, name) for name in names}
+        | {"covariance": camera.covariance.tolist()},
+        "std": _std(result),
+        "pose_unit": "square" if square is None else "metre",
+        "views": [_plain_view(view) for view in result.views],
+        "warnings": result.warnings,
+    }
+    return dumps(to_plain(table))
+
+
+def _plain_view(view: "View") -> dict[str, Any]:
+    return {
+        "path": str(view.path),
+        "status": "used" if view.is_used else "left out",
+        "reason": view.reason or None,
+        "corners": view.corner_count,
+        "rms_px": view.rms_px,
+        "T_cam_board": None if view.T_cam_board is None else view.T_cam_board.tolist(),
+    }
