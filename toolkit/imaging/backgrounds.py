@@ -23,16 +23,17 @@ def read_background(
 ) -> LinearImage:
     """Combine pictures of the empty scene into one with less noise.
 
-    Several stills are averaged in linear light. Of one video the median of the stored values at every pixel is
-    taken, which a passing ball does not disturb; its noise variance is pi/2 times that of a mean, so that n frames
-    count as 2n/pi.
+    Several stills are averaged in linear light. Of one video the median of the stored values at
+    every pixel is taken, which a passing ball does not disturb; its noise variance is pi/2 times
+    that of a mean, so that n frames count as 2n/pi.
 
     Args:
         paths: stills of one kind, or one video.
         response: as in `read_image`.
 
     Returns:
-        One picture (B = 1); `frames` tells by how much its noise variance is smaller than a single picture's.
+        One picture (B = 1); `frames` tells by how much its noise variance is smaller than a single
+        picture's.
 
     Raises:
         ConfigError: when there is no path, or a video among several.
@@ -91,8 +92,8 @@ def _check_alike(path: Path, image: LinearImage, other_path: Path, other: Linear
     times = [float(p.exposure) for p in (image, other) if p.exposure is not None]
     if len(times) == 2 and abs(times[0] - times[1]) > EXPOSURE_TOLERANCE * max(times):
         raise MismatchError(
-            f"backgrounds {path} and {other_path} were exposed {times[0]:.6g} s and {times[1]:.6g} s; "
-            "use pictures of one camera setting"
+            f"backgrounds {path} and {other_path} were exposed {times[0]:.6g} s "
+            f"and {times[1]:.6g} s; use pictures of one camera setting"
         )
 
 

@@ -38,13 +38,16 @@ def write_dng(
         black: stored value of no light, one for all or four in the pattern's reading order.
         white: stored value of sensor white.
         exposure_s: exposure time, second; None leaves it out.
-        camera_matrix: from XYZ (D65) to the camera's colours, row by row [3, 3]; the identity when None. It says
-            how to show the picture and is not used for measuring.
-        orientation: EXIF value, how a viewer should turn the picture; the stored rows stay as they are.
+        camera_matrix: from XYZ (D65) to the camera's colours, row by row [3, 3]; the identity when
+            None. It says how to show the picture and is not used for measuring.
+        orientation: EXIF value, how a viewer should turn the picture; the stored rows stay as they
+            are.
 
     Raises:
-        ShapeError: when the mosaic is not uint16 [H, W] of at least 2 x 2, or pattern or matrix has another shape.
-        ConfigError: when a black level is not below white, or the exposure time is not a positive number.
+        ShapeError: when the mosaic is not uint16 [H, W] of at least 2 x 2, or pattern or matrix has
+            another shape.
+        ConfigError: when a black level is not below white, or the exposure time is not a positive
+            number.
         EnvironmentFault: when the file cannot be written.
     """
     levels = (black,) * 4 if isinstance(black, int) else tuple(int(level) for level in black)
@@ -74,7 +77,8 @@ def write_dng(
 def _check_mosaic(mosaic: NDArray[Any], pattern: Pattern, levels: tuple[int, ...]) -> None:
     if mosaic.dtype != np.uint16 or mosaic.ndim != 2 or min(mosaic.shape) < 2:
         raise ShapeError(
-            f"mosaic is {mosaic.dtype} {list(mosaic.shape)}, but uint16 [H, W] of at least 2 x 2 is needed"
+            f"mosaic is {mosaic.dtype} {list(mosaic.shape)}, "
+            "but uint16 [H, W] of at least 2 x 2 is needed"
         )
     if sorted(c for row in pattern for c in row) != [0, 1, 1, 2] or len(pattern) != 2:
         raise ShapeError(f"pattern {pattern} is not 2 x 2 of one R (0), two G (1) and one B (2)")
@@ -89,7 +93,7 @@ def _tags(
     matrix: NDArray[np.float64],
     orientation: int,
 ) -> list[tuple[Any, ...]]:
-    """Give the tags as tifffile takes them: code, type, count, value, whether only for the first page."""
+    """Give the tags as tifffile takes them: code, type, count, value, only for the first page."""
     ratios = tuple(part for entry in matrix.ravel() for part in (round(entry * 10_000), 10_000))
     return [
         (271, "s", 0, "Ball streak toolkit", True),  # Make

@@ -11,8 +11,8 @@ Kind = Literal["raw", "jpeg", "png", "tiff", "video"]
 HEAD_BYTES = 400  # two packets of an MPEG transport stream
 
 RAW_NAMES = frozenset(
-    ".3fr .arw .cr2 .cr3 .crw .dcr .dng .erf .fff .iiq .kdc .mef .mos .mrw .nef .nrw .orf .pef .raf .raw "
-    ".rw2 .rwl .sr2 .srf .srw .x3f".split()
+    ".3fr .arw .cr2 .cr3 .crw .dcr .dng .erf .fff .iiq .kdc .mef .mos .mrw .nef .nrw .orf .pef "
+    ".raf .raw .rw2 .rwl .sr2 .srf .srw .x3f".split()
 )
 
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
@@ -52,17 +52,20 @@ _REMEDY = "give a RAW, DNG, JPEG, PNG or TIFF picture or a video"
 def kind_of(path: Path) -> Kind:
     """Tell the kind of a file from its first bytes.
 
-    The name decides nothing, with one exception that protects from a silent error: a JPEG under a RAW name is refused,
-    because a picture processed by the camera would pass for the sensor's own values.
+    The name decides nothing, with one exception that protects from a silent error: a JPEG under a
+    RAW name is refused, because a picture processed by the camera would pass for the sensor's own
+    values.
 
     Raises:
-        ImageError: when there is no such file, it is empty or cannot be opened, or it holds nothing this toolkit reads.
+        ImageError: when there is no such file, it is empty or cannot be opened, or it holds nothing
+            this toolkit reads.
     """
     head = _head(path)
     if head.startswith(b"\xff\xd8\xff"):
         if path.suffix.lower() in RAW_NAMES:
             raise ImageError(
-                f"{path} has a RAW name but holds a processed JPEG; give the RAW file, or rename it to .jpg"
+                f"{path} has a RAW name but holds a processed JPEG; "
+                "give the RAW file, or rename this one to .jpg"
             )
         return "jpeg"
     if head.startswith(b"\x89PNG\r\n\x1a\n"):

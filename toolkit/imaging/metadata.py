@@ -30,11 +30,12 @@ _PARSER_ERRORS = (
 def exposure_time(file: BinaryIO) -> float | None:
     """Read the exposure time from a TIFF structure: a TIFF or RAW file, or the block that EXIF is.
 
-    Both the Exif directory and the first one may hold it, and either may be wrong; the first usable one counts, in
-    this order.
+    Both the Exif directory and the first one may hold it, and either may be wrong; the first usable
+    one counts, in this order.
 
     Returns:
-        Seconds, or None when there is none, or none that is a positive number (0, 1/0 and negative ones are met).
+        Seconds, or None when there is none, or none that is a positive number (0, 1/0 and negative
+        ones are met).
     """
     exif = Image.Exif()
     found: list[Any] = []

@@ -3,6 +3,7 @@
 import struct
 import zlib
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -24,10 +25,12 @@ LINEAR_GAMMA = struct.pack(">I", 100_000)  # gamma 1 in a gAMA chunk
 def read_png(path: Path) -> StoredPicture:
     """Read a PNG of 8 or 16 bits, grey or RGB, in the stored orientation.
 
-    The file may state its encoding: a gAMA chunk of 1 (as `write_png16` leaves) is linear, an sRGB chunk is sRGB.
+    The file may state its encoding: a gAMA chunk of 1 (as `write_png16` leaves) is linear, an sRGB
+    chunk is sRGB.
 
     Raises:
-        ImageError: when it is cut or damaged, animated, has a palette, under 8 bits or transparent pixels.
+        ImageError: when it is cut or damaged, animated, has a palette, under 8 bits or transparent
+            pixels.
     """
     data = path.read_bytes()
     chunks = _chunks(path, data)
@@ -102,7 +105,7 @@ def _chunks(path: Path, data: bytes) -> dict[bytes, bytes]:
 
 def _decode(
     path: Path, data: bytes, size: tuple[int, int], dtype: type[np.generic]
-) -> NDArray[np.integer]:
+) -> NDArray[Any]:
     try:
         with quiet_decoders():
             values = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
@@ -113,7 +116,7 @@ def _decode(
     return rgb_order(values)
 
 
-def rgb_order(values: NDArray[np.integer]) -> NDArray[np.integer]:
+def rgb_order(values: NDArray[Any]) -> NDArray[Any]:
     """Turn OpenCV's B G R (A) into R G B (A); grey stays."""
     if values.ndim == 3 and values.shape[2] >= 3:
         return values[..., [2, 1, 0, 3][: values.shape[2]]]

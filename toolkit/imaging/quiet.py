@@ -1,4 +1,4 @@
-"""Keep C libraries from printing on the terminal; what they found wrong comes back as an exception."""
+"""Keep C libraries from printing on the terminal; their complaints come back as exceptions."""
 
 import os
 from collections.abc import Iterator
@@ -11,9 +11,10 @@ _STDERR = 2
 
 @contextmanager
 def quiet_decoders() -> Iterator[None]:
-    """Send file descriptor 2 nowhere within the block: libraw, libpng, libtiff and tifffile's logger write there.
+    """Send file descriptor 2 nowhere within the block.
 
-    It is the process's own descriptor, so that only one thread at a time may be inside.
+    libraw, libpng, libtiff and tifffile's logger write there. It is the process's own descriptor,
+    so that only one thread at a time may be inside.
     """
     with _LOCK:
         try:

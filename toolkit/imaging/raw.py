@@ -30,7 +30,7 @@ NO_SHUTTER_SPEED = (0.0, 1.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Window:
-    """A part of the sensor, in rows and columns of the whole frame that libraw decodes, masked margins included."""
+    """A part of the sensor, counted from the corner of the whole frame, masked margins included."""
 
     top: int
     left: int
@@ -41,15 +41,17 @@ class Window:
 def read_raw(path: Path, response: Response = LINEAR) -> LinearImage:
     """Read a RAW picture in sensor orientation, cut to the crop that its maker recommends.
 
-    A Bayer or X-Trans mosaic is kept beside its demosaiced picture; RAW files that hold colours or grey already
-    have none. `crop` counts from the visible area, the sensor without its masked margins.
+    A Bayer or X-Trans mosaic is kept beside its demosaiced picture; RAW files that hold colours or
+    grey already have none. `crop` counts from the visible area, the sensor without its masked
+    margins.
 
     Args:
         path: any file libraw reads.
         response: for a sensor that is not linear; applied to the mosaic.
 
     Raises:
-        ImageError: when the file is damaged or pruned, of an unknown camera, or its colours are not red, green, blue.
+        ImageError: when the file is damaged or pruned, of an unknown camera, or its colours are not
+            red, green, blue.
     """
     _check_pieces(path)
     with _opened(path) as raw:
@@ -95,13 +97,14 @@ def _opened(path: Path) -> Iterator[Any]:
             text = error.args[0] if error.args else ""
             reason = text.decode(errors="replace") if isinstance(text, bytes) else one_line(error)
             raise ImageError(
-                f"{path} is a damaged or unsupported RAW file ({reason}); copy it again, or convert it to DNG"
+                f"{path} is a damaged or unsupported RAW file ({reason}); "
+                "copy it again, or convert it to DNG"
             ) from None
         yield raw
 
 
 def _check_pieces(path: Path) -> None:
-    """Refuse a file from which sensor values were cut out: libraw then shows zeros or whatever memory held."""
+    """Refuse a file that lost sensor values: libraw then shows zeros or whatever memory held."""
     try:
         with quiet_decoders(), tifffile.TiffFile(path) as file:
             size = path.stat().st_size
@@ -113,7 +116,7 @@ def _check_pieces(path: Path) -> None:
 
 
 def _windows(sizes: Any) -> tuple[Window, Window]:
-    """Give the visible area and, within it, the recommended crop (the visible area again where there is none)."""
+    """Give the visible area and the recommended crop within it, or the visible area twice."""
     visible = Window(
         top=sizes.top_margin, left=sizes.left_margin, height=sizes.height, width=sizes.width
     )
@@ -129,7 +132,7 @@ def _windows(sizes: Any) -> tuple[Window, Window]:
 
 
 def _visible_values(path: Path, raw: Any) -> NDArray[Any]:
-    values = raw.raw_image_visible
+    values: NDArray[Any] | None = raw.raw_image_visible
     if values is None or values.ndim not in (2, 3) or values.dtype != np.uint16:
         raise ImageError(f"{path} holds no integer sensor values; convert it to a common DNG")
     if abs(raw.sizes.pixel_aspect - 1) > 1e-3:
@@ -143,15 +146,17 @@ def _check_values(path: Path, values: NDArray[Any], white: int) -> None:
         raise ImageError(
             f"{path} has the value {low} everywhere; its picture is lost, copy it again"
         )
-    # Cameras saturate somewhat above the white level they state, but never beyond its number of bits.
+    # Cameras saturate somewhat above the white level they state, but never beyond its number of
+    # bits.
     if high >= 1 << max(white, 1).bit_length():
         raise ImageError(
-            f"{path} has values up to {high}, far above its white level {white}; it is damaged, copy it again"
+            f"{path} has values up to {high}, far above its white level {white}; "
+            "it is damaged, copy it again"
         )
 
 
 def _pattern(path: Path, raw: Any, window: Window) -> Pattern | None:
-    """Give the mosaic's period, which starts at the window's corner; None for RAW files without a mosaic."""
+    """Give the mosaic's period from the window's corner; None for RAW files without a mosaic."""
     if raw.raw_pattern is None or raw.num_colors == 1:
         return None
     rows, columns = raw.raw_pattern.shape
@@ -173,7 +178,7 @@ def _colour_indices(raw: Any, window: Window, rows: int, columns: int) -> list[l
 
 
 def _black(path: Path, raw: Any, window: Window, pattern: Pattern | None) -> NDArray[np.float32]:
-    """Give the black level as a period that starts at the window's corner, [h, w] or, without mosaic, [1, 1, 3]."""
+    """Give the black level from the window's corner, [h, w], or [1, 1, 3] without a mosaic."""
     levels = np.asarray(raw.black_level_per_channel, np.float32)
     if pattern is None:
         return levels[:3].reshape(1, 1, 3) if raw.num_colors == 3 else levels[:1].reshape(1, 1)
@@ -185,7 +190,7 @@ def _black(path: Path, raw: Any, window: Window, pattern: Pattern | None) -> NDA
 
 
 def _stated_black(path: Path, window: Window) -> NDArray[np.float32] | None:
-    """Read a DNG's black levels, [h, w] from the window's corner; None where libraw has to be asked."""
+    """Read a DNG's black levels, [h, w] from the window's corner; None to ask libraw."""
     try:
         with quiet_decoders(), tifffile.TiffFile(path) as file:
             if DNG_VERSION not in file.pages.first.tags:
@@ -207,7 +212,7 @@ def _stated_black(path: Path, window: Window) -> NDArray[np.float32] | None:
 def _normalise(
     values: NDArray[np.uint16], black: NDArray[np.float32], white: int
 ) -> NDArray[np.float32]:
-    """Give (values - black) / (white - black) as float32; one pass where black is the same everywhere."""
+    """Give (values - black) / (white - black) as float32; the common case needs no loop."""
     if black.ndim == 2 and (black == black[0, 0]).all():
         light = values.astype(np.float32)
         light -= black[0, 0]
@@ -239,7 +244,7 @@ def _colours(
 def _spread(met_white: NDArray[np.bool_], pattern: Pattern | None) -> NDArray[np.bool_]:
     """Mark the pixels into whose colours a clipped value went, [H, W]."""
     if pattern is None:
-        return met_white.any(axis=2) if met_white.ndim == 3 else met_white
+        return np.any(met_white, axis=2) if met_white.ndim == 3 else met_white
     if not met_white.any():
         return met_white
     size = 2 * reach(pattern) + 1
@@ -247,7 +252,7 @@ def _spread(met_white: NDArray[np.bool_], pattern: Pattern | None) -> NDArray[np
 
 
 def _exposure(path: Path, reported: float) -> float | None:
-    """Prefer the file's own entry; libraw's number serves where there is none that it could be hiding."""
+    """Give the file's own entry, or libraw's number where that one cannot be a stopgap."""
     with path.open("rb") as file:
         stated = exposure_time(file)
     if stated is not None:

@@ -19,12 +19,13 @@ _STILLS = {"jpeg": read_jpeg, "png": read_png, "tiff": read_tiff}
 def read_image(
     path: str | Path, *, response: str | Path | None = None, frame: int | None = None
 ) -> LinearImage:
-    """Read one picture as linear light, in sensor orientation: no EXIF or RAW orientation is applied.
+    """Read one picture as linear light, in sensor orientation.
 
-    The content decides how the file is read, not its name. Where no response is named, RAW and float pictures are
-    linear; a PNG may state its encoding; otherwise 8-bit pictures and video are taken for sRGB and 16-bit ones for
-    linear, and the result says that this is assumed. A grey picture gives three equal channels; an alpha channel is
-    dropped where it is opaque, and refused where it is not.
+    No EXIF or RAW orientation is applied. The content decides how the file is read, not its name.
+    Where no response is named, RAW and float pictures are linear; a PNG may state its encoding (a
+    gAMA chunk of 1 or an sRGB chunk); otherwise 8-bit pictures and video are taken for sRGB and
+    16-bit ones for linear, and the result says that this is assumed. A grey picture gives three
+    equal channels; an alpha channel is dropped where it is opaque and refused where it is not.
 
     Args:
         path: a RAW, DNG, JPEG, PNG or TIFF picture, or a video.
@@ -35,7 +36,8 @@ def read_image(
         One picture (B = 1); its exposure is None where the file does not tell.
 
     Raises:
-        ImageError: when the file is missing, damaged or of an unsupported kind; a part of a picture is never returned.
+        ImageError: when the file is missing, damaged or of an unsupported kind; a part of a picture
+            is never returned.
         ConfigError: when the response is unknown, or the frame does not exist or does not belong.
     """
     path = Path(path)

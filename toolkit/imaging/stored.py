@@ -13,7 +13,7 @@ from toolkit.response import LINEAR, Response, load_response
 from toolkit.types import LinearImage
 
 MAX_PIXELS = 160_000_000
-"""Above the largest cameras on sale, below what fills a common computer's memory (2 GB as float32 RGB)."""
+"""Above the largest cameras on sale, below what fills a common memory (2 GB as float32 RGB)."""
 
 MAX_FLOAT = 4.0
 """A float picture above this was not scaled to white = 1."""
@@ -21,7 +21,7 @@ MAX_FLOAT = 4.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StoredPicture:
-    """Decoded but not yet linear: integers up to their type's largest value, or floats with white = 1."""
+    """Decoded but not yet linear: white is an integer type's largest value, or 1 for floats."""
 
     values: NDArray[Any]  # [H, W] or [H, W, 3] uint8, uint16 or float32
     exposure: float | None = None  # s
@@ -44,8 +44,8 @@ def check_size(path: Path, width: int, height: int) -> None:
 def to_linear(path: Path, stored: StoredPicture, response: str | Path | None) -> LinearImage:
     """Turn a stored picture into light.
 
-    Where nobody names the response and the file states none, 8-bit pictures are taken for sRGB, deeper ones
-    for linear, and the result says that this is assumed; floats are linear by custom.
+    Where nobody names the response and the file states none, 8-bit pictures are taken for sRGB,
+    deeper ones for linear, and the result says that this is assumed; floats are linear by custom.
 
     Raises:
         ImageError: when a float picture has values that are not finite or not scaled to white = 1.

@@ -1,4 +1,4 @@
-"""TIFF: headers checked by tifffile, so that nothing is dropped, turned or filled in without a word."""
+"""TIFF: headers checked first, so that nothing is dropped, turned or filled in silently."""
 
 import struct
 from collections.abc import Iterator
@@ -22,7 +22,10 @@ GREY, RGB = 1, 2
 DNG_VERSION = 50706
 ORIENTATION = 274
 OLD_JPEG = 6
-PLAIN_COMPRESSIONS = (1, 8, 32946)
+UNCOMPRESSED = 1
+HUFFMAN_COMPRESSIONS = (7, 34713)
+"""Lossless JPEG in RAW files and Nikon's: no sample takes less than a bit."""
+PLAIN_COMPRESSIONS = (UNCOMPRESSED, 8, 32946)
 """None and deflate, which tifffile unpacks without further packages; OpenCV reads the others."""
 
 TIFF_ERRORS = (
@@ -41,7 +44,7 @@ TIFF_ERRORS = (
 
 
 def holds_raw(path: Path) -> bool:
-    """Tell whether a TIFF structure is a camera's RAW file: a DNG, a mosaic, or a preview in the first place.
+    """Tell whether a TIFF structure is a camera's RAW file: a DNG, a mosaic, or preview first.
 
     A structure that cannot be parsed counts as TIFF, whose reader then says what is wrong with it.
     """
@@ -63,18 +66,24 @@ def raw_pages(file: tifffile.TiffFile) -> Iterator[tifffile.TiffPage]:
 
 
 def is_whole(page: tifffile.TiffPage, file_bytes: int) -> bool:
-    """Tell whether every strip or tile that the page names lies inside the file."""
+    """Tell whether every strip or tile lies inside the file and has room for its values."""
     pieces = list(zip(page.dataoffsets, page.databytecounts, strict=False))
-    return len(pieces) >= 1 and all(
-        0 < offset and 0 < count and offset + count <= file_bytes for offset, count in pieces
-    )
+    if not all(0 < offset and 0 < count <= file_bytes - offset for offset, count in pieces):
+        return False
+    least_bits = page.imagewidth * page.imagelength * page.samplesperpixel
+    if page.compression == UNCOMPRESSED:
+        least_bits *= page.bitspersample
+    elif page.compression not in HUFFMAN_COMPRESSIONS:
+        least_bits = 1
+    return 8 * sum(page.databytecounts) >= least_bits
 
 
 def read_tiff(path: Path) -> StoredPicture:
     """Read a TIFF of 8, 16 bits or floats, grey or RGB, in the stored orientation.
 
     Raises:
-        ImageError: when it is cut or damaged, has several pages or transparent pixels, or is neither grey nor RGB.
+        ImageError: when it is cut or damaged, has several pages or transparent pixels, or is
+            neither grey nor RGB.
     """
     try:
         with quiet_decoders(), tifffile.TiffFile(path) as file:
@@ -91,7 +100,8 @@ def read_tiff(path: Path) -> StoredPicture:
 
 
 def _only_page(path: Path, file: tifffile.TiffFile) -> tifffile.TiffPage:
-    full = [page for page in file.pages if not page.subfiletype & 1]
+    full = [page.aspage() for page in file.pages]
+    full = [page for page in full if not page.subfiletype & 1]
     if len(full) != 1:
         raise ImageError(f"{path} has {len(full)} pages; save the one picture to measure")
     return full[0]
@@ -107,7 +117,7 @@ def _check_page(path: Path, page: tifffile.TiffPage) -> None:
             f"{path} has values of {page.bitspersample} bits of a kind that is not read; "
             "save it as 8 or 16 bit integers or 32 bit floats"
         )
-    if page.samplesperpixel > 4 or page.photometric == RGB and page.samplesperpixel < 3:
+    if page.samplesperpixel > 4 or (page.photometric == RGB and page.samplesperpixel < 3):
         raise ImageError(f"{path} has {page.samplesperpixel} channels; save it as grey or RGB")
     if not is_whole(page, page.parent.filehandle.size):
         raise ImageError(f"{path} is cut short or damaged; copy it again from the camera")
@@ -127,7 +137,11 @@ def _unpack(path: Path, page: tifffile.TiffPage) -> NDArray[Any]:
 
 
 def _unpack_with_opencv(path: Path, page: tifffile.TiffPage) -> NDArray[Any]:
-    """Unpack LZW and the like. OpenCV turns what the orientation tag says, even when told not to: blank the tag."""
+    """Unpack LZW and the like.
+
+    OpenCV turns the picture as the orientation tag says, even when told not to, so the tag is
+    blanked first.
+    """
     data = np.fromfile(path, np.uint8)
     orientation = page.tags.get(ORIENTATION)
     if orientation is not None:

@@ -85,7 +85,7 @@ def _median(frames: list[NDArray[Any]]) -> NDArray[Any]:
 
 
 def _median_by_bits(stack: NDArray[Any]) -> NDArray[Any]:
-    """Find the median along axis 0 bit by bit, the highest first: four times faster than sorting along this axis."""
+    """Find the median along axis 0 bit by bit, the highest first: much faster than sorting."""
     half = stack.shape[0] // 2
     found = np.zeros(stack.shape[1:], stack.dtype)
     for bit in reversed(range(stack.dtype.itemsize * 8)):
@@ -97,7 +97,7 @@ def _median_by_bits(stack: NDArray[Any]) -> NDArray[Any]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
-    """Open a video; give its container and its first video stream, set to report damage instead of hiding it."""
+    """Open a video; give its container and first video stream, set to report damage."""
     try:
         # The prefix keeps a name with a colon from being taken for a network address.
         with av.open(f"file:{path}", metadata_errors="replace") as container:
@@ -111,7 +111,7 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
             yield container, stream
     except (av.error.FFmpegError, LookupError, ValueError) as error:
         raise ImageError(
-            f"{path} is a damaged or unsupported video ({one_line(error)}); copy or convert it again"
+            f"{path} is a damaged or unsupported video ({one_line(error)}); copy or convert it"
         ) from None
 
 
@@ -121,7 +121,7 @@ def _frames(path: Path) -> Iterator[Any]:
 
 
 def _presentation_times(path: Path) -> list[int] | None:
-    """Give the presentation time of every frame in order, without decoding; None where packets do not tell."""
+    """Give the frames' presentation times in order, undecoded; None where packets do not tell."""
     with _opened(path) as (container, stream):
         packets = [p for p in container.demux(stream) if p.size and not p.is_discard]
     times = [packet.pts for packet in packets]
@@ -136,7 +136,7 @@ def _count_frames(path: Path) -> int:
 
 
 def _seek_frame(path: Path, time: int) -> NDArray[Any] | None:
-    """Decode from the key frame before `time` up to it; None when no frame bears exactly this time."""
+    """Decode from the key frame before `time` up to it; None when no frame bears this time."""
     with _opened(path) as (container, stream):
         container.seek(time, stream=stream)
         for frame in container.decode(stream):
@@ -148,7 +148,7 @@ def _seek_frame(path: Path, time: int) -> NDArray[Any] | None:
 
 
 def _pixels(path: Path, frame: Any) -> NDArray[Any]:
-    """Give a frame as RGB [H, W, 3], 16 bits where the video has more than 8; its own colour matrix is used."""
+    """Give a frame as RGB [H, W, 3] by its own colour matrix, in 16 bits where it has over 8."""
     if frame.is_corrupt:
         raise ImageError(f"{path} has a damaged frame at {frame.time} s; choose another")
     if frame.interlaced_frame:
