@@ -150,8 +150,11 @@ def _read_once(path: Path, board: tuple[int, int] | None, first_of: dict[str, Pa
 def _read(path: Path, board: tuple[int, int] | None) -> _Reading:
     try:
         image = read_image(path)
-    except (ImageError, ConfigError) as error:
+    except ImageError as error:
         return _Reading(view=View(path=path, reason=str(error)))
+    except ConfigError:  # without a frame's number only a video has this
+        reason = "is no single picture; save frames of a video as PNG"
+        return _Reading(view=View(path=path, reason=reason))
     name = "board" if board is None else f"board of {board[0]}x{board[1]} inner corners"
     view = View(path=path, picture_size=(image.width, image.height), reason=f"no {name} found")
     return _Reading(view=view, found=tuple(find_corners(grey_of(image), board)))

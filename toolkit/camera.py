@@ -13,8 +13,7 @@ import torch
 from numpy.polynomial import Polynomial
 from torch import Tensor
 
-from toolkit.errors import ConfigError, MismatchError
-from toolkit.types import LinearImage
+from toolkit.errors import ConfigError
 
 UNDISTORT_STEPS = 12
 """Newton steps; convergence is quadratic, and 3 or 4 are enough but near the edge of a fold."""
@@ -139,7 +138,8 @@ class Camera:
         length = torch.linalg.vector_norm(ray, dim=-1)[..., None, None]
         unit = (ray / length[..., 0])[..., :, None]
         identity = torch.eye(3, dtype=ray.dtype, device=ray.device)
-        return ((identity - unit @ unit.mT) / length)[..., :, :2] @ J_normalised
+        J_ray: Tensor = ((identity - unit @ unit.mT) / length)[..., :, :2] @ J_normalised
+        return J_ray
 
     def undistort(self, pixels: Tensor) -> Tensor:
         """Give the normalised coordinates (x/z, y/z) seen at each pixel, [..., 2], or NaN."""
@@ -215,37 +215,3 @@ def _inverse_2x2(matrix: Tensor) -> Tensor:
     (a, b), (c, d) = (row.unbind(-1) for row in matrix.unbind(-2))
     adjugate = torch.stack([torch.stack([d, -b], dim=-1), torch.stack([-c, a], dim=-1)], dim=-2)
     return adjugate / (a * d - b * c)[..., None, None]
-
-
-def fit_camera(camera: Camera, image: LinearImage) -> Camera:
-    """Give the camera of `image`, following a known crop or a whole-number scale.
-
-    Other scales are refused although their shape may agree: a sensor crop of the same shape looks
-    alike and has another focal length.
-
-    Raises:
-        MismatchError: when the camera was calibrated on another kind of file.
-    """
-    size, wanted = (image.width, image.height), (camera.width, camera.height)
-    if size == wanted:
-        return camera
-    if image.crop is not None and image.crop[2:] == wanted:
-        return camera.cropped(image.crop[0], image.crop[1], *size)
-    if _is_whole_number_scale(size, wanted) or _is_whole_number_scale(wanted, size):
-        return camera.resized(*size)
-    sizes = f"the picture is {size[0]}x{size[1]} and the camera {wanted[0]}x{wanted[1]}"
-    if size == wanted[::-1]:
-        raise MismatchError(
-            f"{sizes}: it was turned by 90 degrees; use the file as the camera wrote it"
-        )
-    raise MismatchError(
-        f"{sizes}, no known crop or whole-number scale of it; calibrate from the same kind of file"
-    )
-
-
-def _is_whole_number_scale(small: tuple[int, int], large: tuple[int, int]) -> bool:
-    """Tell whether `large` is 2, 3, ... times `small`, within a pixel of the small one."""
-    factor = round(large[0] / small[0])
-    return factor > 1 and all(
-        abs(factor * s - l) <= factor for s, l in zip(small, large, strict=True)
-    )

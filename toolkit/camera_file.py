@@ -1,4 +1,4 @@
-"""camera.toml: a calibrated camera on disk, in OpenCV's terms."""
+"""camera.toml: a calibrated camera on disk, in OpenCV's terms, and fitting it to a picture."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,9 +8,10 @@ import torch
 from torch import Tensor
 
 from toolkit.camera import Camera
-from toolkit.errors import ConfigError
+from toolkit.errors import ConfigError, MismatchError
 from toolkit.files import check_keys, read_toml, write_text
 from toolkit.toml_text import to_toml
+from toolkit.types import LinearImage
 
 _REQUIRED = {
     "width": int,
@@ -91,6 +92,32 @@ def write_camera(
     write_text(path, to_toml("camera", table))
 
 
+def fit_camera(camera: Camera, image: LinearImage) -> Camera:
+    """Give the camera of `image`, following a known crop or a whole-number scale.
+
+    Other scales are refused although their shape may agree: a sensor crop of the same shape looks
+    alike and has another focal length.
+
+    Raises:
+        MismatchError: when the camera was calibrated on another kind of file.
+    """
+    size, wanted = (image.width, image.height), (camera.width, camera.height)
+    if size == wanted:
+        return camera
+    if image.crop is not None and image.crop[2:] == wanted:
+        return camera.cropped(image.crop[0], image.crop[1], *size)
+    if _is_whole_number_scale(size, wanted) or _is_whole_number_scale(wanted, size):
+        return camera.resized(*size)
+    sizes = f"the picture is {size[0]}x{size[1]} and the camera {wanted[0]}x{wanted[1]}"
+    if size == wanted[::-1]:
+        raise MismatchError(
+            f"{sizes}: it was turned by 90 degrees; use the file as the camera wrote it"
+        )
+    raise MismatchError(
+        f"{sizes}, no known crop or whole-number scale of it; calibrate from the same kind of file"
+    )
+
+
 def _number(value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ConfigError(f"{value!r:.40} stands where a number is needed")
@@ -128,3 +155,11 @@ def _covariance(table: dict[str, Any]) -> Tensor | None:
     if float(torch.linalg.eigvalsh(correlation).min()) < -1e-6:
         raise ConfigError("covariance has a negative eigenvalue, so it is none; calibrate again")
     return covariance
+
+
+def _is_whole_number_scale(small: tuple[int, int], large: tuple[int, int]) -> bool:
+    """Tell whether `large` is 2, 3, ... times `small`, within a pixel of the small one."""
+    factor = round(large[0] / small[0])
+    return factor > 1 and all(
+        abs(factor * s - l) <= factor for s, l in zip(small, large, strict=True)
+    )

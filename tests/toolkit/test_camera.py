@@ -5,9 +5,8 @@ import torch
 from kornia.geometry.calibration import distort_points, undistort_points
 from torch.func import jacfwd, vmap
 
-from toolkit.camera import Camera, fit_camera
-from toolkit.errors import ConfigError, MismatchError
-from toolkit.types import LinearImage
+from toolkit.camera import Camera
+from toolkit.errors import ConfigError
 
 LENSES = {
     "none": (),
@@ -218,39 +217,3 @@ def test_bad_parameters_are_refused(changes, message):
     settings = {"width": 640, "height": 480, "fx": 500.0, "fy": 500.0, "cx": 320.0, "cy": 240.0}
     with pytest.raises(ConfigError, match=message):
         Camera(**settings | changes)
-
-
-def picture(width, height, crop=None):
-    return LinearImage(
-        rgb=torch.zeros(1, 3, height, width),
-        clipped=torch.zeros(1, 1, height, width, dtype=torch.bool),
-        crop=crop,
-    )
-
-
-def test_fit_camera_keeps_a_camera_of_the_same_size():
-    camera = make_camera()
-    assert fit_camera(camera, picture(1280, 960)) is camera
-
-
-def test_fit_camera_follows_a_known_crop():
-    camera = make_camera(LENSES["five"])
-    fitted = fit_camera(camera, picture(1200, 900, crop=(48, 30, 1280, 960)))
-    assert fitted == camera.cropped(48, 30, 1200, 900)
-
-
-@pytest.mark.parametrize("size", [(640, 480), (427, 320), (320, 241), (2560, 1920)])
-def test_fit_camera_follows_a_whole_number_scale(size):
-    camera = make_camera(LENSES["five"])
-    assert fit_camera(camera, picture(*size)) == camera.resized(*size)
-
-
-@pytest.mark.parametrize("size", [(840, 630), (640, 360), (1280, 720), (1278, 960), (640, 500)])
-def test_fit_camera_refuses_other_sizes(size):
-    with pytest.raises(MismatchError, match=r"1280x960.*calibrate from the same kind of file"):
-        fit_camera(make_camera(), picture(*size))
-
-
-def test_fit_camera_explains_a_turned_picture():
-    with pytest.raises(MismatchError, match="turned by 90 degrees"):
-        fit_camera(make_camera(), picture(960, 1280))

@@ -4,10 +4,12 @@ import pytest
 import torch
 
 from toolkit.camera import Camera
-from toolkit.camera_file import read_camera, write_camera
-from toolkit.errors import ConfigError, EnvironmentFault
+from toolkit.camera_file import fit_camera, read_camera, write_camera
+from toolkit.errors import ConfigError, EnvironmentFault, MismatchError
 from toolkit.toml_text import to_toml
+from toolkit.types import LinearImage
 
+BIG = {"width": 1280, "height": 960, "covariance": None}
 NOTES = {"rms_px": 0.18, "views": 3, "images": ["a.jpg", 'odd "name".jpg']}
 
 
@@ -140,3 +142,39 @@ def test_a_failed_write_leaves_the_older_file(tmp_path):
     assert [entry.name for entry in tmp_path.iterdir()] == ["camera.toml"]
     with pytest.raises(EnvironmentFault, match="cannot be written"):
         write_camera(tmp_path / "absent" / "camera.toml", make_camera(), **NOTES)
+
+
+def picture(width, height, crop=None):
+    return LinearImage(
+        rgb=torch.zeros(1, 3, height, width),
+        clipped=torch.zeros(1, 1, height, width, dtype=torch.bool),
+        crop=crop,
+    )
+
+
+def test_fit_camera_keeps_a_camera_of_the_same_size():
+    camera = make_camera(**BIG)
+    assert fit_camera(camera, picture(1280, 960)) is camera
+
+
+def test_fit_camera_follows_a_known_crop():
+    camera = make_camera(**BIG)
+    fitted = fit_camera(camera, picture(1200, 900, crop=(48, 30, 1280, 960)))
+    assert fitted == camera.cropped(48, 30, 1200, 900)
+
+
+@pytest.mark.parametrize("size", [(640, 480), (427, 320), (320, 241), (2560, 1920)])
+def test_fit_camera_follows_a_whole_number_scale(size):
+    camera = make_camera(**BIG)
+    assert fit_camera(camera, picture(*size)) == camera.resized(*size)
+
+
+@pytest.mark.parametrize("size", [(840, 630), (640, 360), (1280, 720), (1278, 960), (640, 500)])
+def test_fit_camera_refuses_other_sizes(size):
+    with pytest.raises(MismatchError, match=r"1280x960.*calibrate from the same kind of file"):
+        fit_camera(make_camera(**BIG), picture(*size))
+
+
+def test_fit_camera_explains_a_turned_picture():
+    with pytest.raises(MismatchError, match="turned by 90 degrees"):
+        fit_camera(make_camera(**BIG), picture(960, 1280))
