@@ -87,20 +87,20 @@ def read_raw(path: Path, response: Response = LINEAR) -> LinearImage:
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
     """Open and unpack a RAW file; the size is checked in between."""
-    with rawpy.RawPy() as raw:
-        try:
+    try:
+        with rawpy.RawPy() as raw:
             with quiet_decoders():
                 raw.open_file(str(path))
                 check_size(path, raw.sizes.raw_width, raw.sizes.raw_height)
                 raw.unpack()
-        except (rawpy.LibRawError, rawpy.NotSupportedError) as error:
-            text = error.args[0] if error.args else ""
-            reason = text.decode(errors="replace") if isinstance(text, bytes) else one_line(error)
-            raise ImageError(
-                f"{path} is a damaged or unsupported RAW file ({reason}); "
-                "copy it again, or convert it to DNG"
-            ) from None
-        yield raw
+            yield raw
+    except (rawpy.LibRawError, rawpy.NotSupportedError, NotImplementedError) as error:
+        text = error.args[0] if error.args else ""
+        reason = text.decode(errors="replace") if isinstance(text, bytes) else one_line(error)
+        raise ImageError(
+            f"{path} is a damaged or unsupported RAW file ({reason}); "
+            "copy it again, or convert it to DNG"
+        ) from None
 
 
 def _check_pieces(path: Path) -> None:

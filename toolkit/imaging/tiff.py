@@ -1,6 +1,9 @@
 """TIFF: headers checked first, so that nothing is dropped, turned or filled in silently."""
 
+import io
 import struct
+import warnings
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -9,6 +12,7 @@ import cv2
 import numpy as np
 import tifffile
 from numpy.typing import NDArray
+from PIL import Image
 
 from toolkit.errors import ImageError
 from toolkit.files import one_line
@@ -26,21 +30,24 @@ UNCOMPRESSED = 1
 HUFFMAN_COMPRESSIONS = (7, 34713)
 """Lossless JPEG in RAW files and Nikon's: no sample takes less than a bit."""
 PLAIN_COMPRESSIONS = (UNCOMPRESSED, 8, 32946)
-"""None and deflate, which tifffile unpacks without further packages; OpenCV reads the others."""
+"""None and deflate, which tifffile unpacks without further packages."""
 
 TIFF_ERRORS = (
+    cv2.error,
     tifffile.TiffFileError,
+    zlib.error,
     ArithmeticError,
     AttributeError,
     LookupError,
     MemoryError,
     OSError,
     RuntimeError,
+    SyntaxError,
     TypeError,
     ValueError,
     struct.error,
 )
-"""What tifffile raises on damaged files, found by flipping their bytes."""
+"""What tifffile, Pillow and OpenCV raise on damaged files, found by flipping their bytes."""
 
 
 def holds_raw(path: Path) -> bool:
@@ -129,28 +136,33 @@ def _unpack(path: Path, page: tifffile.TiffPage) -> NDArray[Any]:
         if page.planarconfig == 2 and values.ndim == 3:
             values = np.moveaxis(values, 0, -1)
     else:
-        values = _unpack_with_opencv(path, page)
+        values = _unpack_with_libtiff(path, page)
     shape = (page.imagelength, page.imagewidth)
     if values.shape[:2] != shape or values.ndim not in (2, 3):
         raise ImageError(f"{path} is a damaged TIFF; copy it again or save it anew")
     return values.astype(np.float32, copy=False) if values.dtype.kind == "f" else values
 
 
-def _unpack_with_opencv(path: Path, page: tifffile.TiffPage) -> NDArray[Any]:
-    """Unpack LZW and the like.
+def _unpack_with_libtiff(path: Path, page: tifffile.TiffPage) -> NDArray[Any]:
+    """Unpack LZW and the like, by the one of two doors to libtiff that reports damage.
 
-    OpenCV turns the picture as the orientation tag says, even when told not to, so the tag is
-    blanked first.
+    Pillow cannot hold 16-bit colours; OpenCV shows 8-bit ones with the damaged rows wrong. Both turn
+    the picture as the orientation tag says, even when told not to, so the tag is blanked first.
     """
     data = np.fromfile(path, np.uint8)
     orientation = page.tags.get(ORIENTATION)
     if orientation is not None:
         upright = np.frombuffer(struct.pack(f"{page.parent.byteorder}H", 1), np.uint8)
         data[orientation.valueoffset : orientation.valueoffset + 2] = upright
-    try:
-        values = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        values = None
+    is_byte = page.dtype == np.uint8
+    values = _unpack_bytes(data) if is_byte else cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
     if values is None or values.dtype != page.dtype:
         raise ImageError(f"{path} cannot be unpacked; copy it again or save it without compression")
-    return rgb_order(values)
+    return values if is_byte else rgb_order(values)
+
+
+def _unpack_bytes(data: NDArray[np.uint8]) -> NDArray[Any]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # damaged metadata does not matter here
+        with Image.open(io.BytesIO(data.tobytes())) as picture:
+            return np.array(picture)
