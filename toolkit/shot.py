@@ -11,8 +11,8 @@ from pathlib import Path
 
 from toolkit import registry
 from toolkit.alpha import AlphaEstimator
-from toolkit.camera import Camera, fit_camera
-from toolkit.camera_file import read_camera
+from toolkit.camera import Camera
+from toolkit.camera_file import fit_camera, read_camera
 from toolkit.errors import ConfigError, ImageError, MismatchError
 from toolkit.files import sha256
 from toolkit.imaging import read_background, read_image
