@@ -9,11 +9,12 @@ from toolkit.errors import ConfigError
 
 
 def to_toml(kind: str, table: Mapping[str, Any]) -> str:
-    """Give the text of a flat TOML file whose `schema` is "toolkit.<kind>/1".
+    """Give the text of a TOML file whose `schema` is "toolkit.<kind>/1".
 
     Args:
         kind: what the file describes, as `toolkit.files.read_toml` wants it.
-        table: keys with text, finite numbers, booleans, or lists of them, also nested.
+        table: keys with text, finite numbers, booleans, or lists of them, also nested; a value that
+            is itself such a table becomes a section.
 
     Raises:
         ConfigError: naming the key, when a number is not finite.
@@ -25,8 +26,15 @@ def to_toml(kind: str, table: Mapping[str, Any]) -> str:
         names = ["a"]
     """
     lines = [f'schema = "toolkit.{kind}/1"']
-    lines += [f"{key} = {_value(value, key)}" for key, value in table.items()]
+    lines += _lines({key: item for key, item in table.items() if not isinstance(item, Mapping)})
+    for name, section in table.items():
+        if isinstance(section, Mapping):  # after the plain keys, or it would swallow them
+            lines += ["", f"[{name}]", *_lines(section)]
     return "\n".join(lines) + "\n"
+
+
+def _lines(table: Mapping[str, Any]) -> list[str]:
+    return [f"{key} = {_value(value, key)}" for key, value in table.items()]
 
 
 def _value(value: Any, key: str) -> str:
