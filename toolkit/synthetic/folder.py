@@ -1,0 +1,211 @@
+"""A simulated shot on disk: pictures, rig, camera and truth, as a user's folder would hold them."""
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from toolkit.camera_file import write_camera
+from toolkit.errors import ConfigError, EnvironmentFault
+from toolkit.files import write_text
+from toolkit.imaging import write_dng, write_png16
+from toolkit.plain_data import to_plain
+from toolkit.synthetic.appearance import PlainBall
+from toolkit.synthetic.boards import RenderedBoard
+from toolkit.synthetic.paths import BallPath
+from toolkit.synthetic.render import RenderedShot
+from toolkit.toml_text import to_toml
+from toolkit.types import LinearImage
+
+Format = Literal["dng", "png"]
+
+BLACK_LEVEL, WHITE_LEVEL = 512, 15871
+"""Stored values of no light and of sensor white, as a 14-bit camera has them."""
+PATTERN = ((0, 1), (1, 2))
+TRUTH_SCHEMA = "toolkit.truth/1"
+PATH_SAMPLES = 101
+OWN_FILES = (
+    "shot.dng",
+    "shot.png",
+    "background.dng",
+    "background.png",
+    "camera.toml",
+    "rig.toml",
+    "boards/board_[0-9][0-9].dng",
+    "boards/board_[0-9][0-9].png",
+)
+
+
+def write_shot(
+    folder: Path,
+    shot: RenderedShot,
+    *,
+    format: Format = "dng",
+    boards: Iterable[RenderedBoard] | None = None,
+    seed: int = 0,
+) -> None:
+    """Write a shot, its background, rig.toml, truth.json, and what tells the camera.
+
+    That is camera.toml with the true camera or, where `boards` are given, their photos in boards/;
+    a calibration from them is to leave the camera.toml which the rig names.
+
+    Args:
+        folder: where to; made when absent, and cleared of an earlier simulation.
+        shot: what to write.
+        format: "dng", a Bayer mosaic of 14 bits, or "png", linear light in 16 bits.
+        boards: photos of a board; each is drawn from the iterable when its turn comes.
+        seed: noted in truth.json.
+
+    Raises:
+        ConfigError: when the folder holds anything but an earlier simulation.
+        EnvironmentFault: when it cannot be written.
+    """
+    claim_folder(folder)
+    write_text(folder / "truth.json", truth_text(shot, seed))
+    write_picture(folder / f"shot.{format}", shot.image)
+    write_picture(folder / f"background.{format}", shot.background)
+    write_text(folder / "rig.toml", to_toml("rig", _rig(shot, format)))
+    if boards is None:
+        images = [f"shot.{format}"]
+        write_camera(folder / "camera.toml", shot.scene.camera, rms_px=0.0, views=0, images=images)
+        return
+    _make(folder / "boards")
+    for number, board in enumerate(boards):
+        write_picture(folder / "boards" / f"board_{number:02d}.{format}", board.image)
+
+
+def claim_folder(folder: Path) -> None:
+    """Make a folder, or clear it of what an earlier simulation left.
+
+    An old camera.toml goes too, even one that was calibrated there: it belongs to the old pictures.
+
+    Raises:
+        ConfigError: when the folder holds other files and no simulation.
+        EnvironmentFault: when it cannot be made or cleared.
+    """
+    _make(folder)
+    if not any(folder.iterdir()):
+        return
+    if not _is_simulation(folder):
+        raise ConfigError(
+            f"{folder} holds files that are no simulation; name a new or empty folder"
+        )
+    for pattern in OWN_FILES:
+        for path in folder.glob(pattern):
+            _remove(path)
+
+
+def write_picture(path: Path, image: LinearImage) -> None:
+    """Write a picture as a Bayer DNG or a 16-bit PNG, by its suffix."""
+    rgb = image.rgb[0].numpy()
+    exposure = None if image.exposure is None else float(image.exposure[0])
+    if path.suffix == ".dng":
+        write_dng(
+            path,
+            bayer_values(rgb),
+            pattern=PATTERN,
+            black=BLACK_LEVEL,
+            white=WHITE_LEVEL,
+            exposure_s=exposure,
+        )
+    else:
+        write_png16(path, rgb, exposure_s=exposure)
+
+
+def bayer_values(rgb: NDArray[np.float32]) -> NDArray[np.uint16]:
+    """Give what a 14-bit sensor behind an RGGB mosaic stores of linear light [3, H, W], [H, W]."""
+    light = np.empty(rgb.shape[1:], dtype=np.float32)
+    for row, channels in enumerate(PATTERN):
+        for column, channel in enumerate(channels):
+            light[row::2, column::2] = rgb[channel, row::2, column::2]
+    stored = np.rint(BLACK_LEVEL + (WHITE_LEVEL - BLACK_LEVEL) * light)
+    return np.clip(stored, 0, WHITE_LEVEL).astype(np.uint16)
+
+
+def truth_text(shot: RenderedShot, seed: int) -> str:
+    """Give truth.json: the state at mid-exposure, samples of the path, all that was rendered."""
+    scene = shot.scene
+    camera = {
+        key: getattr(scene.camera, key)
+        for key in ("width", "height", "model", "fx", "fy", "cx", "cy", "distortion")
+    }
+    velocity = shot.velocity
+    left, right = shot.contours().tolist()
+    table = {
+        "schema": TRUTH_SCHEMA,
+        "time_s": scene.exposure / 2,
+        "position_m": shot.position.tolist(),
+        "velocity_m_s": velocity.tolist(),
+        "speed_m_s": float(torch.linalg.vector_norm(velocity)),
+        "path": {"kind": type(scene.path).__name__, **_plain_path(scene.path)},
+        "trajectory": _trajectory(scene.path, scene.exposure),
+        "contours": {"left": left, "right": right},
+        "camera": camera,
+        "ball": {"radius_m": scene.ball_radius, "colours": _colours(shot)},
+        "exposure_s": scene.exposure,
+        "blur_px": scene.blur,
+        "noise": scene.noise,
+        "seed": seed,
+    }
+    return json.dumps(to_plain(table), allow_nan=False, indent=1) + "\n"
+
+
+def _plain_path(path: BallPath) -> dict[str, Any]:
+    plain: dict[str, Any] = to_plain(path)
+    return plain
+
+
+def _trajectory(path: BallPath, exposure: float) -> dict[str, Any]:
+    time = torch.linspace(0, exposure, PATH_SAMPLES, dtype=torch.float64)
+    return {
+        "time_s": time.tolist(),
+        "position_m": path.position(time).tolist(),
+        "velocity_m_s": path.velocity(time).tolist(),
+    }
+
+
+def _colours(shot: RenderedShot) -> list[list[float]]:
+    """The ball's one colour; none where it has many."""
+    appearance = shot.scene.appearance
+    return [list(appearance.colour)] if isinstance(appearance, PlainBall) else []
+
+
+def _rig(shot: RenderedShot, format: Format) -> dict[str, Any]:
+    return {
+        "camera": {"file": "camera.toml"},
+        "response": {"kind": "linear"},
+        "ball": {"radius_m": shot.scene.ball_radius, "colours": _colours(shot)},
+        "exposure": {"time_s": shot.scene.exposure},
+        "background": {"images": [f"background.{format}"]},
+        "measure": {"estimator": "uniform"},
+    }
+
+
+def _is_simulation(folder: Path) -> bool:
+    try:
+        table = json.loads((folder / "truth.json").read_bytes())
+    except (OSError, ValueError):
+        return False
+    return isinstance(table, dict) and table.get("schema") == TRUTH_SCHEMA
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise EnvironmentFault(
+            f"{folder} cannot be made ({error.strerror}); choose another place"
+        ) from error
+
+
+def _remove(path: Path) -> None:
+    try:
+        path.unlink()
+    except OSError as error:
+        raise EnvironmentFault(
+            f"{path} cannot be replaced ({error.strerror}); choose another folder"
+        ) from error
