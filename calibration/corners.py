@@ -132,6 +132,7 @@ class _Reading:
     """A photo and the boards read in it before its size is settled."""
 
     view: View
+    sought: tuple[int, int] | None = None  # the size that was looked for, None for any
     found: tuple[Pixels, ...] = ()  # each [R, C, 2]
 
 
@@ -157,7 +158,7 @@ def _read(path: Path, board: tuple[int, int] | None) -> _Reading:
         return _Reading(view=View(path=path, reason=reason))
     name = "board" if board is None else f"board of {board[0]}x{board[1]} inner corners"
     view = View(path=path, picture_size=(image.width, image.height), reason=f"no {name} found")
-    return _Reading(view=view, found=tuple(find_corners(grey_of(image), board)))
+    return _Reading(view=view, sought=board, found=tuple(find_corners(grey_of(image), board)))
 
 
 def _settle(reading: _Reading, board: tuple[int, int] | None) -> View:
@@ -165,7 +166,7 @@ def _settle(reading: _Reading, board: tuple[int, int] | None) -> View:
     if reading.view.picture_size is None or board is None:
         return reading.view
     right = [found for found in reading.found if _size(found) == board]
-    if not right:
+    if not right and reading.sought != board:
         reading = _read(reading.view.path, board)
         right = list(reading.found)
     if not right:

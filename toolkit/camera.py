@@ -127,7 +127,8 @@ class Camera:
         """
         normalised = self.undistort(pixels)
         rays = torch.cat([normalised, torch.ones_like(normalised[..., :1])], dim=-1)
-        return rays / torch.linalg.vector_norm(rays, dim=-1, keepdim=True)
+        length: Tensor = torch.linalg.vector_norm(rays, dim=-1, keepdim=True)
+        return rays / length
 
     def J_unproject(self, pixels: Tensor) -> Tensor:
         """Give the derivative of `unproject` in the pixel, [..., 3, 2]."""
