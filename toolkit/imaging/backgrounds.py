@@ -65,10 +65,10 @@ def _average_stills(paths: Sequence[Path], response: str | Path | None) -> Linea
     for path in paths[1:]:
         other = read_image(path, response=response)
         _check_alike(paths[0], first, path, other)
-        rgb.add_(other.rgb)
-        clipped.logical_or_(other.clipped)
+        rgb = rgb + other.rgb
+        clipped = clipped | other.clipped
         if mosaic is not None and other.mosaic is not None:
-            mosaic.add_(other.mosaic)
+            mosaic = mosaic + other.mosaic
     count = len(paths)
     return replace(
         first,

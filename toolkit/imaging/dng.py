@@ -14,6 +14,9 @@ from toolkit.imaging.metadata import rational
 
 Pattern = tuple[tuple[int, ...], ...]
 
+SMALLEST = 22
+"""Rows and columns below which libraw takes a file for no RAW at all."""
+
 
 def write_dng(
     path: Path,
@@ -44,8 +47,8 @@ def write_dng(
             are.
 
     Raises:
-        ShapeError: when the mosaic is not uint16 [H, W] of at least 2 x 2, or pattern or matrix has
-            another shape.
+        ShapeError: when the mosaic is not uint16 [H, W] of at least 22 x 22, or pattern or matrix
+            has another shape.
         ConfigError: when a black level is not below white, or the exposure time is not a positive
             number.
         EnvironmentFault: when the file cannot be written.
@@ -75,10 +78,10 @@ def write_dng(
 
 
 def _check_mosaic(mosaic: NDArray[Any], pattern: Pattern, levels: tuple[int, ...]) -> None:
-    if mosaic.dtype != np.uint16 or mosaic.ndim != 2 or min(mosaic.shape) < 2:
+    if mosaic.dtype != np.uint16 or mosaic.ndim != 2 or min(mosaic.shape) < SMALLEST:
         raise ShapeError(
             f"mosaic is {mosaic.dtype} {list(mosaic.shape)}, "
-            "but uint16 [H, W] of at least 2 x 2 is needed"
+            f"but uint16 [H, W] of at least {SMALLEST} x {SMALLEST} is needed"
         )
     if sorted(c for row in pattern for c in row) != [0, 1, 1, 2] or len(pattern) != 2:
         raise ShapeError(f"pattern {pattern} is not 2 x 2 of one R (0), two G (1) and one B (2)")

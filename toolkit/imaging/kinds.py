@@ -1,5 +1,6 @@
 """What a file holds, told from its content and never from its name."""
 
+from codecs import getincrementaldecoder
 from pathlib import Path
 from typing import Literal
 
@@ -119,7 +120,7 @@ def _describe(head: bytes) -> str:
 
 def _is_utf8(head: bytes) -> bool:
     try:
-        head[:-4].decode()  # a last character may be cut
+        getincrementaldecoder("utf-8")().decode(head)  # lets a cut last character pass
     except UnicodeDecodeError:
         return False
     return True

@@ -26,6 +26,7 @@ class StoredPicture:
     values: NDArray[Any]  # [H, W] or [H, W, 3] uint8, uint16 or float32
     exposure: float | None = None  # s
     response: str | None = None  # what the file itself states about its encoding
+    is_video: bool = False
 
 
 def check_size(path: Path, width: int, height: int) -> None:
@@ -44,8 +45,9 @@ def check_size(path: Path, width: int, height: int) -> None:
 def to_linear(path: Path, stored: StoredPicture, response: str | Path | None) -> LinearImage:
     """Turn a stored picture into light.
 
-    Where nobody names the response and the file states none, 8-bit pictures are taken for sRGB,
-    deeper ones for linear, and the result says that this is assumed; floats are linear by custom.
+    Where nobody names the response and the file states none, 8-bit pictures and video are
+    taken for sRGB, deeper ones for linear, and the result says that this is assumed; floats are
+    linear by custom.
 
     Raises:
         ImageError: when a float picture has values that are not finite or not scaled to white = 1.
@@ -89,7 +91,7 @@ def _choose_response(stored: StoredPicture, response: str | Path | None) -> tupl
         return load_response(response), False
     if stored.response is not None:
         return load_response(stored.response), False
-    if stored.values.dtype == np.uint8:
+    if stored.values.dtype == np.uint8 or stored.is_video:
         return load_response("srgb"), True
     return LINEAR, stored.values.dtype.kind != "f"
 

@@ -146,8 +146,8 @@ def _unpack(path: Path, page: tifffile.TiffPage) -> NDArray[Any]:
 def _unpack_with_libtiff(path: Path, page: tifffile.TiffPage) -> NDArray[Any]:
     """Unpack LZW and the like, by the one of two doors to libtiff that reports damage.
 
-    Pillow cannot hold 16-bit colours; OpenCV shows 8-bit ones with the damaged rows wrong. Both turn
-    the picture as the orientation tag says, even when told not to, so the tag is blanked first.
+    Pillow cannot hold 16-bit colours; OpenCV gives 8-bit ones with damaged rows. Both turn the
+    picture as the orientation tag says, even when told not to, so the tag is blanked first.
     """
     data = np.fromfile(path, np.uint8)
     orientation = page.tags.get(ORIENTATION)

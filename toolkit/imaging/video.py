@@ -34,11 +34,11 @@ def read_frame(path: Path, number: int) -> StoredPicture:
     if times is not None and number < len(times):
         values = _seek_frame(path, times[number])
         if values is not None:
-            return StoredPicture(values=values)
+            return StoredPicture(values=values, is_video=True)
     count = 0
     for count, frame in enumerate(_frames(path), start=1):
         if count == number + 1:
-            return StoredPicture(values=_pixels(path, frame))
+            return StoredPicture(values=_pixels(path, frame), is_video=True)
     raise ConfigError(f"{path} has {count} frames; give --frame a number from 0 to {count - 1}")
 
 
@@ -66,7 +66,7 @@ def read_median(path: Path) -> tuple[StoredPicture, int]:
     if not kept:
         raise ImageError(f"{path} has no frame that can be decoded; copy it again")
     odd = kept[: len(kept) - 1 + len(kept) % 2]  # the median of an odd number is one of its values
-    return StoredPicture(values=_median(odd)), len(odd)
+    return StoredPicture(values=_median(odd), is_video=True), len(odd)
 
 
 def _choose_frames(total: int, frame_bytes: int) -> set[int]:
