@@ -1,1 +1,35 @@
-"""Camera calibration: board corners, intrinsics and their uncertainty."""
+"""Calibrate what a measurement needs to know beforehand: the camera.
+
+The public names are loaded when first used, so that `import calibration` stays light.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from calibration.corners import View as View
+    from calibration.corners import find_boards as find_boards
+    from calibration.intrinsics import Calibration as Calibration
+    from calibration.intrinsics import calibrate as calibrate
+    from calibration.intrinsics import calibrate_views as calibrate_views
+
+_HOME = {
+    "Calibration": "calibration.intrinsics",
+    "View": "calibration.corners",
+    "calibrate": "calibration.intrinsics",
+    "calibrate_views": "calibration.intrinsics",
+    "find_boards": "calibration.corners",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name from its module (PEP 562)."""
+    if name not in _HOME:
+        raise AttributeError(f"module 'calibration' has no attribute '{name}'")
+    value = getattr(import_module(_HOME[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOME})

@@ -90,7 +90,7 @@ def real_photos(name):
 
 
 def _make_views(poses, *, camera=CAMERA, noise=0.1, seed=0):
-    """Views as corner finding would give them; a pose is a rotation vector and a shift in squares."""
+    """Views as corner finding gives them; a pose is a rotation vector and a shift in squares."""
     generator = np.random.default_rng(seed)
     matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
     views = []
