@@ -135,19 +135,24 @@ def _write(out: Path, result: "Calibration") -> None:
 
 
 def _line(view: "View") -> str:
-    """Describe a view in one line; control characters in names are not sent to a terminal."""
-    name = "".join(c if c.isprintable() else "?" for c in str(view.path))
+    """Describe a view in one line."""
+    name, reason = _printable(str(view.path)), _printable(view.reason)
     if view.is_used:
         return f"{name}: {view.corner_count} corners, {view.rms_px:.2f} px"
-    reason = "".join(c if c.isprintable() else "?" for c in view.reason)
     return f"left out: {reason}" if name in reason else f"{name}: left out: {reason}"
+
+
+def _printable(text: str) -> str:
+    """Keep control characters and undecodable bytes of file names from the terminal."""
+    return "".join(c if c.isprintable() else "?" for c in text)
 
 
 def _text(result: "Calibration", out: Path) -> str:
     camera = result.camera
     std = _std(result)
     numbers = ", ".join(
-        f"{name} {getattr(camera, name):.2f} ± {std[name]:.2f}" for name in ("fx", "fy", "cx", "cy")
+        f"{name} {getattr(camera, name):.2f} +/- {std[name]:.2f}"
+        for name in ("fx", "fy", "cx", "cy")
     )
     return "\n".join(
         [
@@ -156,7 +161,7 @@ def _text(result: "Calibration", out: Path) -> str:
             f"board {result.board[0]}x{result.board[1]}, {len(result.used)} of {len(result.views)}"
             f" photos used, RMS {result.rms_px:.2f} px",
             f"{numbers} px; {len(camera.distortion)} distortion coefficients",
-            f"wrote {out}",
+            f"wrote {_printable(str(out))}",
         ]
     )
 

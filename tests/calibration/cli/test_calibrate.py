@@ -161,3 +161,12 @@ def test_help_is_light():
     )
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert shown.stdout.strip() == "[]"
+
+
+def test_control_characters_of_a_name_do_not_reach_the_terminal(photos, out, tmp_path, capsys):
+    odd = tmp_path / "a\x1b[31m\nb.png"
+    odd.write_text("no picture")
+    assert run(out, "--images", *photos.paths[:3], odd) == 0
+    printed = capsys.readouterr().out
+    assert "a?[31m?b.png" in printed
+    assert "\x1b" not in printed
