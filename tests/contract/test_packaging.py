@@ -1,3 +1,5 @@
+import os
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -54,12 +56,42 @@ def test_constraints_pin_every_dependency():
     assert {requirement.partition(">=")[0] for requirement in wanted} <= pinned
 
 
-@pytest.mark.slow
-def test_wheel_holds_every_package_and_its_data(tmp_path):
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Build the wheel from a copy, so that nothing is left behind among the sources."""
+    copy, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("wheel")
+    for name in ("toolkit", "calibration", "plugins"):
+        shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, copy / name)
     # the environment's own setuptools builds it: no network is needed
     command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir"]
-    subprocess.run([*command, str(tmp_path), str(ROOT)], check=True, capture_output=True)
-    (wheel,) = tmp_path.glob("*.whl")
+    subprocess.run([*command, str(out), str(copy)], check=True, capture_output=True)
+    (path,) = out.glob("*.whl")
+    return path
+
+
+def test_wheel_runs_from_another_place(wheel, tmp_path):
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(tmp_path)
+    code = (
+        "import toolkit, sys; print(toolkit.__file__); from toolkit.cli.main import main; "
+        "sys.exit(main(['measure', '--help']))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(str(tmp_path))
+    assert "--ball-colour" in done.stdout
+
+
+def test_wheel_holds_every_package_and_its_data(wheel):
     names = set(zipfile.ZipFile(wheel).namelist())
     wanted = {f"{package.replace('.', '/')}/__init__.py" for package in packages_on_disk()}
     wanted |= {f"{top}/py.typed" for top in ("toolkit", "calibration", "plugins")}

@@ -22,6 +22,7 @@ GOOD_PROFILE: Colour = (0, 158, 115)
 LEFT_OUT_PROFILE: Colour = (213, 94, 0)
 
 REFERENCE_SIZE = 1400  # px of the longer side for which lines are one pixel wide
+PROFILE_SPACING = 8  # px between the profiles drawn, for lines of one pixel
 SUBPIXEL_BITS = 4  # OpenCV draws in units of 1/16 px
 
 
@@ -74,12 +75,20 @@ def _visible(image: LinearImage) -> Picture:
 def _draw_profiles(
     picture: Picture, profiles: ProfileTable, contours: ContourPoints, pen: int
 ) -> None:
-    """Draw each profile from edge to edge, across the axis; the finite ones only."""
+    """Draw profiles from edge to edge, across the axis; so few that the shot stays in sight."""
     centre = np.array(profiles.centre_px, dtype=float).reshape(-1, 2)
     reach = np.array(profiles.half_width_px, dtype=float)[:, None] * _normals(centre, contours)
     ends = np.stack([centre - reach, centre + reach], axis=1)
-    for flag, line in zip(profiles.flags, ends, strict=True):
+    step = _stride(centre, PROFILE_SPACING * pen)
+    for flag, line in zip(profiles.flags[::step], ends[::step], strict=True):
         _draw_line(picture, line, GOOD_PROFILE if flag == 0 else LEFT_OUT_PROFILE, pen)
+
+
+def _stride(centre: NDArray[Any], spacing: float) -> int:
+    """Say which n-th of the profiles [P, 2] px to draw for about `spacing` px between them."""
+    steps = np.linalg.norm(np.diff(centre, axis=0), axis=-1)
+    usual = float(np.median(steps[np.isfinite(steps)])) if np.isfinite(steps).any() else spacing
+    return max(1, round(spacing / max(usual, 1e-3)))
 
 
 def _normals(points: NDArray[Any], contours: ContourPoints) -> NDArray[Any]:
@@ -87,13 +96,14 @@ def _normals(points: NDArray[Any], contours: ContourPoints) -> NDArray[Any]:
     axis = _middle(contours)
     along = np.gradient(axis, axis=0)
     nearest = np.linalg.norm(points[:, None] - axis, axis=-1).argmin(1)
-    across: NDArray[Any] = np.stack([-along[:, 1], along[:, 0]], axis=-1)[nearest]
-    across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-9)
-    return across
+    across = np.stack([-along[:, 1], along[:, 0]], axis=-1)[nearest]
+    unit: NDArray[Any] = across / np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-9)
+    return unit
 
 
 def _middle(contours: ContourPoints) -> NDArray[Any]:
-    return (np.array(contours.left, dtype=float) + np.array(contours.right, dtype=float)) / 2
+    middle: NDArray[Any] = np.mean(np.array([contours.left, contours.right], dtype=float), axis=0)
+    return middle
 
 
 def _draw_axis(picture: Picture, contours: ContourPoints, pen: int, *, arrow: bool) -> None:

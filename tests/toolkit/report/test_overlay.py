@@ -61,6 +61,20 @@ def test_profiles_stand_across_a_slanting_axis():
     assert is_near(picture[60, 40], GOOD_PROFILE)
 
 
+def test_dense_profiles_leave_the_shot_in_sight():
+    contours = ContourPoints(left=((0.0, 30.0), (199.0, 30.0)), right=((0.0, 90.0), (199.0, 90.0)))
+    count = 400
+    table = ProfileTable(
+        centre_px=tuple((x / 2, 60.0) for x in range(count)),
+        half_width_px=(30.0,) * count,
+        opacity=(0.5,) * count,
+        flags=(0,) * count,
+    )
+    picture = draw_overlay(flat_image(0.2), Measurement(contours=contours, profiles=table))
+    green = [is_near(pixel, GOOD_PROFILE) for pixel in picture[45]]
+    assert 15 <= sum(green) <= 35
+
+
 def test_arrow_only_where_the_sign_is_settled():
     open_sign = draw_overlay(flat_image(0.2), level_streak())
     settled = replace(level_streak(), sign=Sign(ambiguous=False, probability=0.99, cue="drag"))
