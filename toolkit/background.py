@@ -26,18 +26,25 @@ def check_pair(image: LinearImage, background: LinearImage) -> None:
         )
 
 
-def estimate_noise(image: LinearImage, background: LinearImage) -> NoiseModel:
+def estimate_noise(
+    image: LinearImage, background: LinearImage, ignore: Tensor | None = None
+) -> NoiseModel:
     """Estimate read noise and gain from the difference of two pictures, robustly against the ball.
 
     Raw samples are compared where both pictures still hold them, since demosaicing smooths the noise. Within each group of
     equal brightness the median is taken out first, so that a drift of the light does not count as noise.
     Source: MATHS, var(C) = read^2 + gain * C. [derived]
 
+    Args:
+        image: the shot.
+        background: the scene without the ball.
+        ignore: pixels of the ball and of whatever else moved [B, 1, H, W] bool.
+
     Returns:
         NoiseModel of one picture; the difference of both has (1 + 1 / background.frames) times its variance.
     """
     share = 1 + 1 / background.frames
-    pairs = [_channel_samples(image, background, channel) for channel in range(3)]
+    pairs = [_channel_samples(image, background, channel, ignore) for channel in range(3)]
     fits = [_fit_variance(level, difference, share) for level, difference in pairs]
     density = [_density(image, background, channel) for channel in range(3)]
     return NoiseModel(
@@ -47,13 +54,16 @@ def estimate_noise(image: LinearImage, background: LinearImage) -> NoiseModel:
     )
 
 
-def brightness_drift(image: LinearImage, background: LinearImage) -> Tensor:
+def brightness_drift(
+    image: LinearImage, background: LinearImage, ignore: Tensor | None = None
+) -> Tensor:
     """Give the median ratio of shot to background per channel, [3]; 1 when the light stayed the same."""
     ratios = []
     for channel in range(3):
-        level, difference = _channel_samples(image, background, channel)
+        level, difference = _channel_samples(image, background, channel, ignore)
         bright = level > level.median()
-        ratios.append(1 + (difference[bright] / level[bright].clamp_min(1e-3)).median())
+        share = (difference[bright] / level[bright].clamp_min(1e-3)).median()
+        ratios.append((1 + share / 2) / (1 - share / 2))
     return torch.stack(ratios)
 
 
@@ -63,11 +73,13 @@ def scale_background(background: LinearImage, ratio: Tensor) -> LinearImage:
 
 
 def _channel_samples(
-    image: LinearImage, background: LinearImage, channel: int
+    image: LinearImage, background: LinearImage, channel: int, ignore: Tensor | None
 ) -> tuple[Tensor, Tensor]:
-    """Background levels and differences of one channel on an even subset of its raw samples."""
+    """Mean levels and differences of one channel on an even subset of its raw samples."""
     shot, ground, clipped = image.rgb[0, channel], background.rgb[0, channel], image.clipped[0, 0]
     clipped = clipped | background.clipped[0, 0]
+    if ignore is not None:
+        clipped = clipped | ignore[0, 0]
     if image.mosaic is not None and background.mosaic is not None and image.pattern is not None:
         row, column, step_y, step_x = _lattice(image.pattern, channel)
         shot = image.mosaic[0, 0, row::step_y, column::step_x]
@@ -76,8 +88,9 @@ def _channel_samples(
     step = max(1, math.ceil((shot.numel() / SAMPLES) ** 0.5))
     shot, ground = shot[::step, ::step], ground[::step, ::step]
     usable = ~clipped[::step, ::step]
-    level = ground[usable].double()
-    return level, shot[usable].double() - level
+    shot, ground = shot[usable].double(), ground[usable].double()
+    # grouping by the background alone would select by its noise, and with it a difference of one sign
+    return (shot + ground) / 2, shot - ground
 
 
 def _lattice(pattern: tuple[tuple[int, ...], ...], channel: int) -> tuple[int, int, int, int]:

@@ -23,6 +23,7 @@ class Solution:
 
     parameters: Tensor  # [E, K]
     cost: Tensor  # [E] sum of the (robust) squared residuals
+    gradient: Tensor  # [E, K] J'r at the solution
     information: Tensor  # [E, K, K] J'J at the solution
     converged: Tensor  # [E] bool
     iterations: int
@@ -88,7 +89,12 @@ def minimise(
     converged = torch.ones_like(cost, dtype=torch.bool)
     converged[active] = False
     return Solution(
-        parameters=x, cost=cost, information=information, converged=converged, iterations=iteration
+        parameters=x,
+        cost=cost,
+        gradient=gradient,
+        information=information,
+        converged=converged,
+        iterations=iteration,
     )
 
 

@@ -68,3 +68,78 @@ def fit_spline(
     ridge = 1e-12 * normal.diagonal().mean() * torch.eye(basis.size, dtype=x.dtype)
     inverse = torch.linalg.inv(normal + ridge)
     return inverse @ (design.mT @ (weight[:, None] * values)), inverse
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SplineFit:
+    """A smooth curve through data, as rough as the data ask for and no rougher."""
+
+    basis: SplineBasis
+    coefficients: Tensor  # [K, D]
+    inverse: Tensor  # [K, K] of the weighted normal matrix
+    weight: Tensor  # [N] 1 / variance after outliers lost theirs
+
+    def __call__(self, x: Tensor, derivative: int = 0) -> Tensor:
+        """Evaluate the curve, or a derivative, at x [...]: [..., D]."""
+        return self.basis(x, derivative) @ self.coefficients
+
+    def std(self, x: Tensor) -> Tensor:
+        """Standard deviation of the curve at x [...], each component."""
+        design = self.basis(x)
+        return ((design @ self.inverse) * design).sum(-1).clamp_min(0).sqrt()
+
+
+SIZES = (2, 3, 4, 5, 6, 8, 10, 13, 17)
+"""Numbers of coefficients tried: line, parabola, cubic, then splines with more and more knots."""
+OUTLIER = 4.5
+"""Tukey's biweight reaches zero here, in robust standard deviations: 95 % efficient on clean data."""
+
+
+def fit_smooth(
+    x: Tensor, values: Tensor, weight: Tensor, sizes: tuple[int, ...] = SIZES
+) -> SplineFit:
+    """Fit the curve whose order the data ask for, robustly against outliers.
+
+    Outliers are found once, against the most flexible curve, so that all orders are compared on the same data; the order is
+    the one with the smallest Bayesian information criterion.
+
+    Args:
+        x: [N].
+        values: [N, D].
+        weight: 1 / variance, 0 for what is to be ignored [N].
+        sizes: numbers of coefficients to choose from.
+    """
+    used = weight > 0
+    count = int(used.sum())
+    start, stop = float(x[used].min()), float(x[used].max())
+    possible = [size for size in sizes if size <= max(2, count // 6)] or [min(sizes)]
+    flexible = SplineBasis(start=start, stop=stop, size=possible[-1])
+    robust = weight
+    for _ in range(4):
+        coefficients, _ = fit_spline(flexible, x, values, robust)
+        size = _standardised(flexible, coefficients, x, values, weight)
+        # below 1 it only shows that neighbours share samples, which smooth errors do not profit from
+        scale = (size[used].median() * _median_factor(values.shape[1])).clamp_min(1.0)
+        robust = weight * (1 - (size / (OUTLIER * scale)) ** 2).clamp_min(0) ** 2
+    fits = []
+    for order in possible:
+        basis = SplineBasis(start=start, stop=stop, size=order)
+        coefficients, inverse = fit_spline(basis, x, values, robust)
+        misfit = ((basis(x) @ coefficients - values) ** 2 * robust[:, None]).sum() / scale**2
+        penalty = values.shape[1] * order * torch.log(torch.tensor(float(count)))
+        fits.append((float(misfit + penalty), basis, coefficients, inverse))
+    _, basis, coefficients, inverse = min(fits, key=lambda fit: fit[0])
+    return SplineFit(basis=basis, coefficients=coefficients, inverse=inverse, weight=robust)
+
+
+def _standardised(
+    basis: SplineBasis, coefficients: Tensor, x: Tensor, values: Tensor, weight: Tensor
+) -> Tensor:
+    """Length of each residual in standard deviations [N]."""
+    squared = ((basis(x) @ coefficients - values) ** 2).sum(-1)
+    return (squared * weight).sqrt()
+
+
+def _median_factor(dimensions: int) -> float:
+    """Standard deviation over the median length of a normal vector of 1 or 2 components."""
+    return 1.4826 if dimensions == 1 else 0.8493

@@ -64,7 +64,7 @@ def find_streak(
         roi: left, top, width, height in px to search in; the whole picture when None.
 
     Returns:
-        Streak; the axis runs from tip to tip, to the right in the picture, or down where it is nearer to upright.
+        Streak; the axis runs from tip to tip, to the right in the picture, or down where it is upright.
 
     Raises:
         StreakError: when nothing in the picture looks like the streak of such a ball.
@@ -93,13 +93,10 @@ def find_streak(
     )
 
 
-def refine_axis(
-    origin: Tensor, middle: Tensor, weight: Tensor, position: Tensor, half_width: float
-) -> Tensor:
+def refine_axis(middle: Tensor, weight: Tensor, position: Tensor, half_width: float) -> Tensor:
     """Give a smoother axis through fitted profile centres, continued straight to where the old one ended.
 
     Args:
-        origin: profile origins [P, 2] px.
         middle: fitted centre points [P, 2] px.
         weight: 1 / variance of the centres, 0 for profiles to ignore [P].
         position: arc length of the origins [P] px.
@@ -258,23 +255,24 @@ def _walk(window: Mask, seed: tuple[int, int]) -> NDArray[np.float32]:
     reached = np.zeros_like(window)
     reached[seed] = 1
     distance = np.where(reached > 0, 0, -1).astype(np.float32)
-    travelled = 0.0
+    step = 0
     while True:
-        # two squares and a cross advance nearly equally far in every direction
-        kernel, step = (cross, 1.0) if int(travelled * 10) % 3 == 0 else (square, 1.0)
-        grown = cv2.dilate(reached, kernel) & window
-        new = (grown > 0) & (reached == 0)
+        step += 1
+        # a cross after every two squares advances nearly equally far in every direction
+        grown = cv2.dilate(reached, cross if step % 3 == 0 else square) & window
+        new = grown != reached
         if not new.any():
-            return distance
-        travelled += step
-        distance[new] = travelled
+            if step % 3:
+                return distance
+            continue  # a cross may stop where only a corner leads on
+        distance[new] = step
         reached = grown
 
 
 def _forward(axis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Let the axis run to the right, or down where it is nearer to upright."""
+    """Let the axis run to the right, or down where it is upright."""
     dx, dy = axis[-1] - axis[0]
-    runs_forward = dx > 0 if abs(dx) >= abs(dy) else dy > 0
+    runs_forward = dx > 0 if abs(dx) >= 1 else dy > 0
     return np.ascontiguousarray(axis if runs_forward else axis[::-1])
 
 

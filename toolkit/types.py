@@ -126,6 +126,7 @@ class ProfileFit:
     chi2_per_dof: Tensor  # [B, P]
     flags: Tensor  # [B, P] int64, bits of ProfileFlag
     blur: Tensor  # [B] px, standard deviation of everything that smooths a profile
+    samples: int  # numbers compared in each profile
     iterations: int
 
     @property
@@ -143,3 +144,24 @@ class ProfileFit:
         """Left and right edge points, [B, P, 2, 2] px."""
         ends = torch.stack([self.centre - self.half_width, self.centre + self.half_width], dim=-1)
         return self.origin[..., None, :] + ends[..., None] * self.normal[..., None, :]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Contours:
+    """The two smooth outlines of one streak; side 0 is left of the axis, 1 right of it."""
+
+    position: Tensor  # [N] px along the axis
+    points: Tensor  # [2, N, 2] px
+    tangents: Tensor  # [2, N, 2] unit, along the axis
+    std: Tensor  # [2, N] px, across the contour
+    opacity: Tensor  # [N]
+    order: int  # coefficients a contour needed: 2 a line, 3 second order, more a spline
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CrossSections:
+    """Where the ball was, one entry for every pair of coupled contour points."""
+
+    centre: Tensor  # [N, 3] m
+    direction: Tensor  # [N, 3] unit
+    opacity: Tensor  # [N]

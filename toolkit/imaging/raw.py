@@ -89,8 +89,8 @@ def _opened(path: Path) -> Iterator[Any]:
     """Open and unpack a RAW file; the size is checked in between."""
     try:
         with rawpy.RawPy() as raw:
-            with quiet_decoders():
-                raw.open_file(str(path))
+            with quiet_decoders(), path.open("rb") as file:
+                raw.open_buffer(file)  # by its path, rawpy opens no name that is not UTF-8
                 check_size(path, raw.sizes.raw_width, raw.sizes.raw_height)
                 raw.unpack()
             yield raw

@@ -107,7 +107,7 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
             if stream.codec_context is None:
                 raise ImageError(f"{path} uses a video codec that is not supported; convert it")
             check_size(path, stream.width, stream.height)
-            stream.codec_context.options = {"err_detect": "explode"}
+            stream.codec_context.options = {"err_detect": "crccheck+bitstream+buffer+explode"}
             yield container, stream
     except (av.error.FFmpegError, LookupError, ValueError) as error:
         raise ImageError(

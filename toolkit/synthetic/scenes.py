@@ -125,6 +125,7 @@ def _camera_for(
         cx=(width - 1) / 2,
         cy=(height - 1) / 2,
         distortion=distortion,
+        model="rational" if len(distortion) == 8 else "pinhole",
     )
 
 

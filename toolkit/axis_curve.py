@@ -1,0 +1,289 @@
+"""One smooth curve in space that explains all contour points of a streak.
+
+Each contour ray u grazes the tube the ball swept: the smallest distance of the axis from it, min over s of |A(s) x u|, equals
+the ball radius. This needs neither tangents nor coupling, holds for any lens, and is the maximum-likelihood use of the
+profiles' edges. [derived]
+
+The curve is A(s) = (x(s), y(s), 1) / q(s) with splines x, y in normalised image coordinates and q, the inverse depth. A line in
+space is then exactly linear in s, whatever its tilt. The image of the curve may move across itself only, which pins
+the parameter s: that of a profile stays where it was along the streak.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from toolkit.camera import Camera
+from toolkit.errors import ConfigError
+from toolkit.least_squares import Problem, Solution, minimise
+from toolkit.splines import SplineBasis, fit_smooth, fit_spline
+
+GRAZE_STEPS = 4
+"""Gauss-Newton steps to the point of the axis nearest to a ray; each gains two digits or more."""
+MAX_STEPS = 40
+DEPTH_SIZES = (2, 3, 4, 5, 6, 8)
+"""Coefficients tried for the inverse depth."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AxisCurve:
+    """The path of the ball's centre; s runs along the streak, in px of an ideal lens."""
+
+    image_basis: SplineBasis
+    depth_basis: SplineBasis
+    image: Tensor  # [K, 2] coefficients of (x/z, y/z)
+    inverse_depth: Tensor  # [L] coefficients of 1/z, 1/m
+    across: Tensor  # [K, 2] unit vectors along which the image coefficients may move
+
+    def __call__(self, s: Tensor) -> Tensor:
+        """Points of the curve at s [...]: [..., 3] m."""
+        normalised, inverse_depth = self._parts(s, 0)
+        return _homogeneous(normalised, 1.0) / inverse_depth
+
+    def tangent(self, s: Tensor) -> Tensor:
+        """Derivative of the point in s, [..., 3] m per px."""
+        normalised, inverse_depth = self._parts(s, 0)
+        slope, depth_slope = self._parts(s, 1)
+        point = _homogeneous(normalised, 1.0) / inverse_depth
+        return (_homogeneous(slope, 0.0) - point * depth_slope) / inverse_depth
+
+    def J_point(self, s: Tensor) -> Tensor:
+        """Derivative of the point at fixed s in the parameters (across [K], inverse depth [L]), [..., 3, K + L]."""
+        normalised, inverse_depth = self._parts(s, 0)
+        sideways = _homogeneous(self.across, 0.0).mT * self.image_basis(s)[..., None, :]
+        point = _homogeneous(normalised, 1.0) / inverse_depth
+        deeper = -point[..., None] * self.depth_basis(s)[..., None, :]
+        return torch.cat([sideways, deeper], dim=-1) / inverse_depth[..., None]
+
+    @property
+    def parameters(self) -> Tensor:
+        """(shift across [K], inverse depth [L]), the shift being 0 where the curve stands."""
+        return torch.cat([torch.zeros_like(self.image[:, 0]), self.inverse_depth])
+
+    def moved(self, parameters: Tensor) -> "AxisCurve":
+        """Give the curve with other parameters [K + L]."""
+        shift, inverse_depth = parameters.split([len(self.image), len(self.inverse_depth)])
+        return replace(
+            self, image=self.image + shift[:, None] * self.across, inverse_depth=inverse_depth
+        )
+
+    def curvature_radius(self, s: Tensor) -> Tensor:
+        """Radius of the curve's bend at s [N], m; infinite where straight."""
+        step = (self.image_basis.stop - self.image_basis.start) / 200
+        tangent = self.tangent(s)
+        bend = (self.tangent(s + step) - self.tangent(s - step)) / (2 * step)
+        speed = torch.linalg.vector_norm(tangent, dim=-1)
+        return speed**3 / torch.linalg.vector_norm(torch.linalg.cross(tangent, bend), dim=-1)
+
+    def _parts(self, s: Tensor, derivative: int) -> tuple[Tensor, Tensor]:
+        normalised = self.image_basis(s, derivative) @ self.image
+        return normalised, (self.depth_basis(s, derivative) @ self.inverse_depth)[..., None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Edges:
+    """What the profiles say about the contours, P of them."""
+
+    s: Tensor  # [P] px along the streak, ideal lens
+    pixels: Tensor  # [P, 2, 2] left and right edge
+    normal: Tensor  # [P, 2] unit
+    covariance: Tensor  # [P, 2, 2] of centre and half width, px^2
+    weight: Tensor  # [P] 1, or less for outliers, 0 for profiles to ignore
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AxisFit:
+    """The fitted curve with the covariance of its parameters."""
+
+    curve: AxisCurve
+    covariance: Tensor  # [K + L, K + L]
+    gain: Tensor  # [P, K + L, 2] how the parameters follow each profile's centre and half width
+    chi2: float
+    chi2_per_dof: float
+    converged: bool
+
+
+def start_curve(
+    centres: Tensor, s: Tensor, weight: Tensor, depth: Tensor, depth_weight: Tensor
+) -> AxisCurve:
+    """Make a first curve from the middles of the profiles and rough depths.
+
+    Args:
+        centres: normalised image coordinates of the profile centres [P, 2].
+        s: px along the streak [P].
+        weight: of each centre, 1 / variance in normalised units [P].
+        depth: rough depth at each profile [P] m.
+        depth_weight: [P].
+    """
+    middle = fit_smooth(s, centres, weight)
+    basis = middle.basis
+    greville = _greville(basis)
+    slope = middle(greville, 1)
+    across = torch.stack([-slope[:, 1], slope[:, 0]], dim=-1)
+    depth_basis = SplineBasis(start=basis.start, stop=basis.stop, size=2)
+    inverse_depth, _ = fit_spline(depth_basis, s, 1 / depth[:, None], depth_weight)
+    return AxisCurve(
+        image_basis=basis,
+        depth_basis=depth_basis,
+        image=middle.coefficients,
+        inverse_depth=inverse_depth[:, 0],
+        across=across / torch.linalg.vector_norm(across, dim=-1, keepdim=True),
+    )
+
+
+def fit_axis(
+    start: AxisCurve,
+    edges: Edges,
+    camera: Camera,
+    ball_radius: float,
+    sizes: tuple[int, ...] = DEPTH_SIZES,
+    steps: int = MAX_STEPS,
+) -> AxisFit:
+    """Fit the curve whose tube all contour rays graze, with as many depth coefficients as the data ask for.
+
+    Args:
+        start: first curve.
+        edges: contour points with their covariance.
+        camera: with distortion.
+        ball_radius: m.
+        sizes: numbers of depth coefficients to choose from; the search stops after two without gain.
+        steps: most Gauss-Newton steps for each.
+
+    Returns:
+        AxisFit of the smallest Bayesian information criterion.
+    """
+    rays = camera.unproject(edges.pixels)
+    swing = camera.J_unproject(edges.pixels) @ edges.normal[:, None, :, None]
+    count = float((edges.weight > 0).sum())
+    per_parameter = math.log(2 * float((edges.weight > 0).sum()))
+    best: AxisFit | None = None
+    since_best = 0
+    curve = start
+    for size in sizes:
+        fit = _fit_one(
+            _with_depth_size(curve, size), edges, rays, swing[..., 0], ball_radius, steps
+        )
+        curve = fit.curve
+        # misfit beyond the noise is counted in units of itself once a curve has explained what it can
+        scale = max(
+            1.0, fit.chi2_per_dof if best is None else min(fit.chi2_per_dof, best.chi2_per_dof)
+        )
+        criterion = fit.chi2 / scale + per_parameter * len(curve.parameters)
+        if best is None or criterion < best.chi2 / scale + per_parameter * len(best.covariance):
+            best, since_best = fit, 0
+        else:
+            since_best += 1
+        if since_best == 2:
+            break
+    if best is None:
+        raise ConfigError("no number of depth coefficients was given to choose from")
+    return best
+
+
+def _fit_one(
+    curve: AxisCurve, edges: Edges, rays: Tensor, swing: Tensor, ball_radius: float, steps: int
+) -> AxisFit:
+    whiten = _whitening(edges)
+    usable = float((edges.weight > 0).sum())
+
+    def raw(parameters: Tensor) -> tuple[Tensor, Tensor]:
+        return graze_residual(curve.moved(parameters), edges.s, rays, swing, ball_radius)
+
+    def problem(parameters: Tensor, _: Tensor) -> tuple[Tensor, Tensor]:
+        residual, J = raw(parameters[0])
+        residual = (whiten @ _centre_and_half_width(residual)[..., None])[..., 0]
+        J = whiten @ _centre_and_half_width(J)
+        return residual.reshape(1, -1), J.reshape(1, -1, J.shape[-1])
+
+    solution: Solution = minimise(
+        problem, curve.parameters[None], tolerance=1e-3, max_iterations=steps
+    )
+    parameters = solution.parameters[0]
+    chi2 = float(solution.cost[0])
+    covariance = solution.covariance[0]
+    J = problem(solution.parameters, torch.zeros(1))[1].reshape(len(edges.s), 2, -1)
+    return AxisFit(
+        curve=curve.moved(parameters),
+        covariance=covariance,
+        gain=-covariance @ (J.mT @ whiten),
+        chi2=chi2,
+        chi2_per_dof=chi2 / max(2 * usable - len(parameters), 1.0),
+        converged=bool(solution.converged[0]),
+    )
+
+
+def graze_residual(
+    curve: AxisCurve, s: Tensor, rays: Tensor, swing: Tensor, ball_radius: float
+) -> tuple[Tensor, Tensor]:
+    """Say by how many px each contour point lies inside (-) or outside (+) the tube about the curve.
+
+    Args:
+        curve: the axis.
+        s: where along it to start looking for the nearest point [P].
+        rays: of the left and right edges [P, 2, 3].
+        swing: derivative of those rays for one px along the profile's normal [P, 2, 3].
+        ball_radius: m.
+
+    Returns:
+        Residuals along the normal [P, 2] px, and their derivative in the curve's parameters [P, 2, K].
+    """
+    nearest = nearest_parameter(curve, s[:, None].expand(-1, 2), rays)
+    point = curve(nearest)
+    moment = torch.linalg.cross(point, rays)
+    distance = torch.linalg.vector_norm(moment, dim=-1, keepdim=True)
+    unit = moment / distance
+    # |A x u| changes with the point by (u x m), and with the ray by (m x A), m being the unit moment
+    per_px = (torch.linalg.cross(unit, point) * swing).sum(-1)
+    residual = (distance[..., 0] - ball_radius) / per_px
+    pull = torch.linalg.cross(rays, unit)[..., None, :] @ curve.J_point(nearest)
+    return residual, pull[..., 0, :] / per_px[..., None]
+
+
+def nearest_parameter(curve: AxisCurve, s: Tensor, rays: Tensor) -> Tensor:
+    """Give the parameter at which the curve is nearest to each ray, starting from s [...]."""
+    span = curve.image_basis.stop - curve.image_basis.start
+    for _ in range(GRAZE_STEPS):
+        moment = torch.linalg.cross(curve(s), rays)
+        slope = torch.linalg.cross(curve.tangent(s), rays)
+        step = -(moment * slope).sum(-1) / (slope * slope).sum(-1).clamp_min(1e-300)
+        s = s + step.clamp(-span / 4, span / 4)
+    return s
+
+
+def _centre_and_half_width(sides: Tensor) -> Tensor:
+    """Turn shifts of the left and right edge [P, 2, ...] into those of centre and half width."""
+    left, right = sides[:, 0], sides[:, 1]
+    return torch.stack([(left + right) / 2, (right - left) / 2], dim=1)
+
+
+def _whitening(edges: Edges) -> Tensor:
+    """W with W'W the inverse covariance of (centre, half width) times the weight [P, 2, 2]."""
+    identity = torch.eye(2, dtype=edges.covariance.dtype).expand_as(edges.covariance)
+    covariance = torch.where((edges.weight > 0)[:, None, None], edges.covariance, identity)
+    factor = torch.linalg.cholesky(torch.linalg.inv(covariance)).mT
+    return factor * edges.weight.sqrt()[:, None, None]
+
+
+def _with_depth_size(curve: AxisCurve, size: int) -> AxisCurve:
+    """Give the same curve with another number of depth coefficients."""
+    if size == len(curve.inverse_depth):
+        return curve
+    basis = replace(curve.depth_basis, size=size)
+    s = torch.linspace(basis.start, basis.stop, 10 * size, dtype=curve.image.dtype)
+    values = curve.depth_basis(s) @ curve.inverse_depth
+    coefficients, _ = fit_spline(basis, s, values[:, None], torch.ones_like(s))
+    return replace(curve, depth_basis=basis, inverse_depth=coefficients[:, 0])
+
+
+def _greville(basis: SplineBasis) -> Tensor:
+    """Where each coefficient acts most: averages of `degree` successive knots."""
+    degree, pieces = basis.degree, basis.size - basis.degree
+    knots = torch.arange(-degree, pieces + degree + 1, dtype=torch.float64).clamp(0, pieces)
+    inner = knots[1:-1].unfold(0, degree, 1).mean(-1)
+    return basis.start + (basis.stop - basis.start) * inner / pieces
+
+
+def _homogeneous(values: Tensor, last: float) -> Tensor:
+    return torch.cat([values, torch.full_like(values[..., :1], last)], dim=-1)

@@ -1,0 +1,113 @@
+"""Smooth contours from the edges of many profiles, each of which errs by itself but not on the whole."""
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from toolkit.errors import StreakError
+from toolkit.splines import SplineFit, fit_smooth
+from toolkit.types import Contours, ProfileFit, ProfileFlag
+
+MIN_PROFILES = 8
+"""Good profiles between the streak's ends without which no contour can be trusted."""
+CONTOUR_POINTS = 100
+
+
+def mark_profiles(fit: ProfileFit, flag: ProfileFlag, chosen: Tensor) -> ProfileFit:
+    """Add a flag to the chosen profiles [B, P] bool."""
+    return replace(fit, flags=fit.flags | chosen.to(torch.int64) * int(flag))
+
+
+def smooth_contours(fit: ProfileFit, picture: int = 0) -> tuple[Contours, ProfileFit]:
+    """Fit a line, a parabola or a spline to each side's edge points, whichever the data ask for.
+
+    Source: Caglioti & Giusti 2007, section 5, "Fitting". Deviation: the order is chosen by an information criterion, and single
+    profiles that disagree with their neighbours lose their weight and are flagged OUTLIER.
+
+    Args:
+        fit: the profiles; flagged ones are ignored.
+        picture: which of the B pictures.
+
+    Returns:
+        Contours between the first and the last good profile, and the fit with the outliers flagged.
+
+    Raises:
+        StreakError: when too few profiles are good.
+    """
+    good = fit.good[picture]
+    check_enough(good, fit.flags[picture])
+    position, covariance = fit.position[picture], fit.covariance[picture]
+    sides = [_side(fit, picture, side) for side in (-1, 1)]
+    is_outlier = good & ((sides[0].weight == 0) | (sides[1].weight == 0))
+    rows = torch.zeros_like(fit.good)
+    rows[picture] = is_outlier
+    fit = mark_profiles(fit, ProfileFlag.OUTLIER, rows)
+    good = fit.good[picture]
+    check_enough(good, fit.flags[picture])
+    at = torch.linspace(
+        float(position[good].min()),
+        float(position[good].max()),
+        CONTOUR_POINTS,
+        dtype=position.dtype,
+    )
+    weight = torch.where(good, 1 / covariance[:, 2, 2], 0)
+    opacity = fit_smooth(position, fit.opacity[picture][:, None], weight)
+    contours = Contours(
+        position=at,
+        points=torch.stack([side(at) for side in sides]),
+        tangents=torch.stack([_unit(side(at, 1)) for side in sides]),
+        std=torch.stack([side.std(at) for side in sides]),
+        opacity=opacity(at)[:, 0],
+        order=max(side.basis.size for side in sides),
+    )
+    return contours, fit
+
+
+def smooth_parameters(fit: ProfileFit, picture: int = 0) -> Tensor:
+    """Give centre, half width and opacity of all profiles, smoothed along the streak, [P, 3].
+
+    Raises:
+        StreakError: when too few profiles are good.
+    """
+    good = fit.good[picture]
+    check_enough(good, fit.flags[picture])
+    position, covariance = fit.position[picture], fit.covariance[picture]
+    inside = position.clamp(float(position[good].min()), float(position[good].max()))
+    columns = []
+    for index, values in enumerate((fit.centre, fit.half_width, fit.opacity)):
+        weight = torch.where(good, 1 / covariance[:, index, index], 0)
+        columns.append(fit_smooth(position, values[picture][:, None], weight)(inside))
+    return torch.cat(columns, dim=-1)
+
+
+def check_enough(good: Tensor, flags: Tensor) -> None:
+    """Raise `StreakError`, with the most frequent reason, when fewer than MIN_PROFILES are good."""
+    if int(good.sum()) >= MIN_PROFILES:
+        return
+    counts = {flag: int(((flags & int(flag)) > 0).sum()) for flag in ProfileFlag if flag}
+    worst = max(counts, key=lambda flag: counts[flag])
+    reasons = {
+        ProfileFlag.END: "the streak is too short for profiles clear of the ball's first and last image (at least two "
+        "widths are needed); expose longer",
+        ProfileFlag.CLIPPED: "it meets saturated pixels or the picture's border; expose less or aim again",
+        ProfileFlag.LOW_CONTRAST: "its opacity hardly exceeds the noise; check the ball colour, or expose less long",
+        ProfileFlag.NOT_CONVERGED: "its profiles are no semi-ellipses; check background and ball colour",
+        ProfileFlag.AT_BOUND: "its profiles have no plausible width or opacity; check background and ball colour",
+        ProfileFlag.OUTLIER: "its profiles contradict each other; check that the background fits the shot",
+    }
+    raise StreakError(
+        f"only {int(good.sum())} of {len(good)} profiles are usable, {MIN_PROFILES} are needed: {reasons[worst]}"
+    )
+
+
+def _side(fit: ProfileFit, picture: int, side: int) -> SplineFit:
+    """Smooth edge points of one side, -1 left or 1 right, [P, 2] px against the position along the axis."""
+    covariance = fit.covariance[picture]
+    variance = covariance[:, 0, 0] + covariance[:, 1, 1] + 2 * side * covariance[:, 0, 1]
+    weight = torch.where(fit.good[picture], 1 / variance.clamp_min(1e-8), 0)
+    return fit_smooth(fit.position[picture], fit.edges[picture, :, (side + 1) // 2], weight)
+
+
+def _unit(vectors: Tensor) -> Tensor:
+    return vectors / torch.linalg.vector_norm(vectors, dim=-1, keepdim=True)

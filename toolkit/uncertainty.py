@@ -1,0 +1,86 @@
+"""What the answer inherits from noise, camera, ball radius and exposure time, each kept apart."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from toolkit.camera import Camera
+from toolkit.motion import describe_motion, noise_covariance, propagate, repace
+from toolkit.reconstruction import Reconstruction, opacity_data, refit_axis
+
+SPEED, DURATION, PATH = 6, 7, 8
+"""Places in `Motion.state`: position and displacement come first."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Uncertainty:
+    """Covariances of `Motion.state`, lengths in metres and displacements in metres per exposure."""
+
+    noise: Tensor  # [K, K]
+    camera: Tensor | None  # [K, K]; None when the camera file has no covariance
+    radius: Tensor  # [K, K]
+    exposure: Tensor  # [K, K], of the displacement per the exposure time stated
+    brightness: Tensor  # [K, K], what the ends contradict the opacity by
+
+    @property
+    def total(self) -> Tensor:
+        """Sum of all sources [K, K]."""
+        camera = torch.zeros_like(self.noise) if self.camera is None else self.camera
+        return self.noise + camera + self.radius + self.exposure + self.brightness
+
+
+def covariances(
+    found: Reconstruction,
+    camera: Camera,
+    ball_radius: float,
+    *,
+    ball_radius_std: float,
+    exposure_std_share: float,
+) -> Uncertainty:
+    """Propagate every source to the state.
+
+    All lengths scale with the ball radius, and speeds with 1 / exposure, exactly. Where the distance between the ends contradicts the
+    opacity by more than noise allows, colour, response or exposure is wrong by about as much, and the speed with it.
+
+    Args:
+        found: the reconstruction.
+        camera: its covariance is carried by refitting the path through shifted cameras.
+        ball_radius: m.
+        ball_radius_std: m.
+        exposure_std_share: standard deviation of the exposure time over itself.
+    """
+    state = found.motion.state()
+    noise = noise_covariance(
+        found.axis, found.opacity, found.pace, found.ends.s, found.ends.std, ball_radius
+    )
+    lengths = torch.ones_like(state)
+    lengths[DURATION] = 0
+    speeds = torch.zeros_like(state)
+    speeds[3 : SPEED + 1] = 1
+    by_radius = state * lengths * (ball_radius_std / ball_radius)
+    by_exposure = state * speeds * exposure_std_share
+    allowed = 2 * float(noise[DURATION, DURATION].sqrt())
+    contradiction = max(abs(float(found.motion.duration) - 1) - allowed, 0.0)
+    by_brightness = state * speeds * contradiction
+    return Uncertainty(
+        noise=noise,
+        camera=_camera_covariance(found, camera, ball_radius),
+        radius=torch.outer(by_radius, by_radius),
+        exposure=torch.outer(by_exposure, by_exposure),
+        brightness=torch.outer(by_brightness, by_brightness),
+    )
+
+
+def _camera_covariance(found: Reconstruction, camera: Camera, ball_radius: float) -> Tensor | None:
+    if camera.covariance is None:
+        return None
+
+    def state(shift: Tensor) -> Tensor:
+        shifted = camera.with_parameters(camera.parameters + shift)
+        curve = refit_axis(found, shifted, ball_radius)
+        data = opacity_data(found.fit, found.opacity.s, shifted)
+        pace = repace(curve, data, found.pace, ball_radius)
+        return describe_motion(curve, pace, found.ends.s).state()
+
+    return propagate(state, camera.covariance)

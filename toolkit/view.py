@@ -1,0 +1,107 @@
+"""The part of shot and background that matters: the streak's surroundings, in the same light, with their noise."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from toolkit.alpha import AlphaEstimator, Observation
+from toolkit.background import brightness_drift, estimate_noise, scale_background
+from toolkit.errors import StreakError
+from toolkit.streak import ROI, find_streak
+from toolkit.types import LinearImage, Streak
+
+DRIFT = 0.003
+"""Relative change of the light since the background beyond which the background follows it."""
+MARGIN = 1.0
+"""Half widths around the streak within which pixels do not count as background."""
+WINDOW = 2.5
+"""Half widths around the axis that the window holds, and 8 px more."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StreakView:
+    """The streak and the window about it, as the estimator sees it."""
+
+    streak: Streak
+    observation: Observation  # on the window
+    clipped: Tensor  # [1, 1, h, w] bool, on the window
+    corner: tuple[int, int]  # of the window in the picture, (x, y) px
+    drift: Tensor  # [3] light of the shot over that of the background; 1 where it was left alone
+
+
+def observe_streak(
+    image: LinearImage,
+    background: LinearImage,
+    estimator: AlphaEstimator,
+    roi: ROI | None = None,
+) -> StreakView:
+    """Find the streak, match the background's light to the shot's, and observe the window about the streak.
+
+    Noise and light are looked at twice: roughly to find the streak, then without the pixels it covers.
+
+    Raises:
+        StreakError: when there is no streak, or it leaves the picture.
+        ConfigError: when the region lies outside the picture.
+    """
+    streak = find_streak(image, background, estimate_noise(image, background), estimator, roi)
+    half_width = float(streak.half_width)
+    ignore = _grown(streak.mask, MARGIN * half_width)
+    drift = brightness_drift(image, background, ignore)
+    if bool(((drift - 1).abs() > DRIFT).any()):
+        background = scale_background(background, drift)
+        streak = find_streak(
+            image, background, estimate_noise(image, background, ignore), estimator, roi
+        )
+    else:
+        drift = torch.ones_like(drift)
+    noise = estimate_noise(image, background, ignore)
+    _check_inside(streak, image)
+    left, top, width, height = _window(streak, image)
+    shot, ground = (_cut(picture, left, top, width, height) for picture in (image, background))
+    return StreakView(
+        streak=streak,
+        observation=estimator.observe(shot, ground, noise),
+        clipped=shot.clipped | ground.clipped,
+        corner=(left, top),
+        drift=drift,
+    )
+
+
+def _grown(mask: Tensor, reach: float) -> Tensor:
+    """Mask with everything within `reach` px of it, on a grid coarse enough to be quick."""
+    step = max(1, int(reach / 4))
+    coarse = torch.nn.functional.max_pool2d(mask.to(torch.float32), step, ceil_mode=True)
+    size = 2 * max(1, round(reach / step)) + 1
+    coarse = torch.nn.functional.max_pool2d(coarse, size, stride=1, padding=size // 2)
+    grown = coarse.repeat_interleave(step, dim=-2).repeat_interleave(step, dim=-1)
+    return grown[..., : mask.shape[-2], : mask.shape[-1]] > 0
+
+
+def _check_inside(streak: Streak, image: LinearImage) -> None:
+    """Raise `StreakError` when a tip reaches the picture's border: that end of the motion is unknown."""
+    tips = streak.axis[0, [0, -1]]
+    size = torch.tensor([image.width - 1, image.height - 1], dtype=tips.dtype)
+    room = torch.minimum(tips, size - tips).amin(-1)
+    if bool((room < 2).any()):
+        x, y = tips[int(room.argmin())].tolist()
+        raise StreakError(
+            f"the streak leaves the picture near ({x:.0f}, {y:.0f}) px, so that its end is not seen; "
+            "aim so that the whole streak is inside, or expose less long"
+        )
+
+
+def _window(streak: Streak, image: LinearImage) -> ROI:
+    reach = WINDOW * float(streak.half_width) + 8
+    low = (streak.axis[0].amin(0) - reach).floor().clamp_min(0).long().tolist()
+    high = (streak.axis[0].amax(0) + reach).ceil().long().tolist()
+    right, bottom = min(high[0], image.width), min(high[1], image.height)
+    return low[0], low[1], right - low[0], bottom - low[1]
+
+
+def _cut(image: LinearImage, left: int, top: int, width: int, height: int) -> LinearImage:
+    """Cut out a window; the mosaic, whose pattern would shift, is not needed any more."""
+    area = (..., slice(top, top + height), slice(left, left + width))
+    return replace(
+        image, rgb=image.rgb[area], clipped=image.clipped[area], mosaic=None, pattern=None
+    )
