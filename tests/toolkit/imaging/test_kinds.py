@@ -1,5 +1,6 @@
 import os
 import shutil
+import sys
 
 import numpy as np
 import pytest
@@ -89,6 +90,14 @@ def test_what_is_no_file(tmp_path):
         read_image("a\0b.png")
     with pytest.raises(ImageError):
         read_image("a" * 5000)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux allows such names")
+def test_names_may_be_any_bytes(tmp_path, mosaic):
+    for name in (b"\xff.dng", "é [x] %d|concat:.dng".encode()):
+        path = tmp_path / os.fsdecode(name)
+        write_dng(path, mosaic, white=4095)
+        assert read_image(path).mosaic is not None
 
 
 def test_a_still_has_no_frames(tmp_path):
