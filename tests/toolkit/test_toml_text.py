@@ -36,3 +36,12 @@ def test_a_name_that_is_no_text_still_gives_a_valid_file():
 def test_numbers_that_are_not_finite_are_refused(value):
     with pytest.raises(ConfigError, match=r"'gain' holds .*only finite numbers"):
         to_toml("thing", {"gain": value})
+
+
+def test_a_table_within_becomes_a_section_after_the_plain_keys():
+    text = to_toml("rig", {"ball": {"radius_m": 0.05, "colours": [[1, 0, 0]]}, "note": "x"})
+    assert tomllib.loads(text) == {
+        "schema": "toolkit.rig/1",
+        "note": "x",
+        "ball": {"radius_m": 0.05, "colours": [[1, 0, 0]]},
+    }

@@ -144,25 +144,29 @@ class _Exposure:
         self.hits: NDArray[np.uint32] = np.zeros(rays.shape[1:], dtype=np.uint32)
         # a plain ball's light follows from the hits alone
         self.is_plain = isinstance(appearance, PlainBall)
-        self.light: Array = np.zeros((3, 0, 0) if self.is_plain else rays.shape, dtype=np.float32)
+        shape = (0, 0, 3) if self.is_plain else (*rays.shape[1:], 3)
+        self.light: Array = np.zeros(shape, dtype=np.float32)
 
     def add(self, time: float, centre: NDArray[np.float64], box: list[int]) -> None:
         """Add the sharp image of the ball at one instant."""
         rows, columns = self._samples(box)
         u = self.rays[:, rows, columns]
         x, y, z = centre.astype(np.float32)
-        along = u[0] * x
-        along += u[1] * y
-        along += u[2] * z
-        from_origin = float(self.origin @ centre)
         tangent = math.sqrt(float(centre @ centre) - self.ball_radius**2)
-        hit = along >= np.float32(tangent - from_origin)
+        # u.C - tangent, from small numbers only
+        depth = u[0] * x
+        depth += u[1] * y
+        depth += u[2] * z
+        depth += np.float32(float(self.origin @ centre) - tangent)
+        hit = depth >= 0
         self.hits[rows, columns] += hit
         self.instants += 1
         if not self.is_plain:
-            normal = self._normals(u[:, hit], along[hit] + from_origin, centre)
+            row, column = np.nonzero(hit)
+            normal = self._normals(u[:, row, column], depth[row, column], tangent, centre)
             light = self.appearance(torch.from_numpy(normal.T), time).numpy()
-            self.light[:, rows, columns][:, hit] += light.T
+            # an image covers each sub-pixel at most once, so that no index is repeated
+            self.light[row + rows.start, column + columns.start] += light
 
     def mean_alpha(self) -> Array:
         """Give the share of the instants at which the ball covers each ray."""
@@ -173,7 +177,7 @@ class _Exposure:
         if isinstance(self.appearance, PlainBall):
             colour = np.array(self.appearance.colour, dtype=np.float32)
             return colour[:, None, None] * self.mean_alpha()
-        return self.light / np.float32(self.instants)
+        return np.moveaxis(self.light, -1, 0) / np.float32(self.instants)
 
     def _samples(self, box: list[int]) -> tuple[slice, slice]:
         left, top, right, bottom = box
@@ -183,10 +187,13 @@ class _Exposure:
         return slice(top * s, bottom * s), slice(left * s, right * s)
 
     def _normals(
-        self, rays: Array, along: NDArray[np.float64], centre: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Outward normals [3, N] where the rays enter the ball; `along` is centre times ray."""
-        u = rays + self.origin[:, None]
-        inside = along**2 - float(centre @ centre) + self.ball_radius**2
-        depth = along - np.sqrt(np.maximum(inside, 0))
-        return np.asarray((depth * u - centre[:, None]) / self.ball_radius)
+        self, rays: Array, depth: Array, tangent: float, centre: NDArray[np.float64]
+    ) -> Array:
+        """Outward normals [3, N] where rays enter the ball; `depth`, u.C - tangent, is 0 at its rim."""
+        u = rays + self.origin.astype(np.float32)[:, None]
+        # (u.C)^2 - tangent^2, in the form that keeps its digits near the rim
+        half_chord = np.sqrt(depth * (depth + np.float32(2 * tangent)))
+        u *= depth - half_chord + np.float32(tangent)
+        u -= centre.astype(np.float32)[:, None]
+        u /= np.float32(self.ball_radius)
+        return u
