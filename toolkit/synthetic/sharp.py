@@ -189,7 +189,7 @@ class _Exposure:
     def _normals(
         self, rays: Array, depth: Array, tangent: float, centre: NDArray[np.float64]
     ) -> Array:
-        """Outward normals [3, N] where rays enter the ball; `depth`, u.C - tangent, is 0 at its rim."""
+        """Outward normals [3, N] where rays enter the ball; `depth` is u.C - tangent there."""
         u = rays + self.origin.astype(np.float32)[:, None]
         # (u.C)^2 - tangent^2, in the form that keeps its digits near the rim
         half_chord = np.sqrt(depth * (depth + np.float32(2 * tangent)))
