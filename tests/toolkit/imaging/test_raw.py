@@ -2,6 +2,7 @@ import time
 
 import numpy as np
 import pytest
+import tifffile
 import torch
 
 from toolkit.errors import ImageError
@@ -113,6 +114,37 @@ def test_xtrans(make_dng, mosaic):
     np.testing.assert_allclose(image.mosaic[0, 0], light, atol=1e-6)
     measured = np.take_along_axis(image.rgb[0].numpy(), tiled(XTRANS, mosaic.shape)[None], 0)[0]
     np.testing.assert_allclose(measured, light, atol=1e-6)
+
+
+def test_a_crop_moves_the_xtrans_pattern(make_dng, rng):
+    values = rng.integers(300, 4000, (60, 72), dtype=np.uint16)
+    extra = [
+        (50829, "I", 4, (2, 4, 58, 70), True),
+        (50719, "H", 2, (3, 5), True),
+        (50720, "H", 2, (42, 36), True),
+    ]
+    image = read_image(make_dng(values, pattern=XTRANS, extra=extra))
+    left, top, *_ = image.crop
+    height, width = image.height, image.width
+    begin = (2 + top, 4 + left)
+    cut = values[begin[0] : begin[0] + height, begin[1] : begin[1] + width]
+    np.testing.assert_allclose(image.mosaic[0, 0], cut / 4095.0, atol=1e-6)
+    # The pattern of a DNG starts at the active area's corner.
+    expected = np.roll(XTRANS, (-top, -left), axis=(0, 1))
+    assert (top % 6, left % 6) != (0, 0)
+    assert np.array_equal(image.pattern, expected)
+
+
+def test_pruned_values_are_refused(tmp_path, mosaic):
+    path = tmp_path / "pruned.dng"
+    write_dng(path, mosaic, white=4095)
+    with tifffile.TiffFile(path) as file:
+        place = file.pages[0].tags[279].valueoffset  # StripByteCounts
+    data = bytearray(path.read_bytes())
+    data[place : place + 4] = (22).to_bytes(4, "little")
+    path.write_bytes(data)
+    with pytest.raises(ImageError, match=r"pruned\.dng lacks a part of its sensor values"):
+        read_image(path)
 
 
 def test_linear_raw_has_no_mosaic(make_dng, rng):
