@@ -13,8 +13,8 @@ from toolkit import AlphaEstimator, Chord, ConfigError, LinearImage, NoiseModel,
 class Uniform(AlphaEstimator):
     """The ball shows one colour everywhere, and that colour is known.
 
-    Source: Caglioti & Giusti 2007, section 3.2.1. Deviation: all three channels are weighed by their noise and contrast
-    instead of one intensity being used.
+    Source: Caglioti & Giusti 2007, section 3.2.1. Deviation: all three channels are weighed by
+    their noise and contrast instead of one intensity being used.
     """
 
     colour: tuple[float, float, float]

@@ -4,8 +4,9 @@ Every built-in appearance, and a matte from elsewhere, is one linear mixture per
 
     signal = alpha * foreground + (1 - alpha) * ground,
 
-so an estimator answers two questions and nothing more: what is observed (`observe`), and what the ball alone
-would show (`foreground`). The solver never sees colours; an estimator never sees the solver.
+so an estimator answers two questions and nothing more: what is observed (`observe`), and what the
+ball alone would show (`foreground`). The solver never sees colours; an estimator never sees the
+solver.
 Source: Caglioti & Giusti 2007, eq. (1) and section 3.2.
 """
 
@@ -23,7 +24,10 @@ API_VERSION = 1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Observation:
-    """A picture as an estimator sees it; B image, Q signal channels (three colours, one plane distance, one matte)."""
+    """A picture as an estimator sees it.
+
+    B image, Q signal channels (three colours, one distance from a plane, one matte).
+    """
 
     signal: Tensor  # [B, Q, H, W] with the ball
     ground: Tensor  # [B, Q, H, W] without it
@@ -32,10 +36,11 @@ class Observation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Chord:
-    """Lines across the ball's disc, parallel to the motion, along which the ball's colour is averaged.
+    """Lines across the ball's disc, parallel to the motion, along which its colour is averaged.
 
-    `offset` is (y - centre) / half_width, -1 at the left rim and 1 at the right one when looking along `direction`.
-    `start` and `stop` cut a partial chord, in shares of it: -1 is the trailing rim, 1 the leading one.
+    `offset` is (y - centre) / half_width, -1 at the left rim and 1 at the right one when looking
+    along `direction`. `start` and `stop` cut a partial chord, in shares of it: -1 is the trailing
+    rim, 1 the leading one.
     """
 
     offset: Tensor  # [..., S]
@@ -46,7 +51,9 @@ class Chord:
 
 @dataclass(frozen=True, kw_only=True)
 class AlphaEstimator(ABC):
-    """How one kind of ball is told from its background. Subclass it as a frozen dataclass; fields are its options.
+    """How one kind of ball is told from its background.
+
+    Subclass it as a frozen dataclass; fields are its options.
 
     Example:
         >>> from dataclasses import dataclass
@@ -70,7 +77,7 @@ class AlphaEstimator(ABC):
     def observe(
         self, image: LinearImage, background: LinearImage, noise: NoiseModel
     ) -> Observation:
-        """Turn shot and background into signal, ground and variance, on the whole picture, before any sampling."""
+        """Turn shot and background into signal, ground and variance, before any sampling."""
 
     @abstractmethod
     def foreground(self, chord: Chord, appearance: Tensor | None) -> Tensor:
@@ -78,7 +85,8 @@ class AlphaEstimator(ABC):
 
         Args:
             chord: where on the disc.
-            appearance: unknowns that the solver projects out [B, A], or None where the estimator has none.
+            appearance: unknowns that the solver projects out [B, A], or None where the estimator
+                has none.
         """
 
     @final
@@ -91,9 +99,10 @@ class AlphaEstimator(ABC):
     def foreground_and_slope(
         self, chord: Chord, appearance: Tensor | None = None
     ) -> tuple[Tensor, Tensor | None]:
-        """Give `foreground` and its derivative in the chord's offset, both [..., S, Q]; None when it is constant.
+        """Give `foreground` and its derivative in the chord's offset, both [..., S, Q].
 
-        Reverse mode, one pass a channel: exact, and free of the second that forward mode takes to load.
+        The derivative is None where the foreground is constant. Reverse mode, one pass a channel:
+        exact, and free of the second that forward mode takes to load.
         """
         offset = chord.offset.detach().requires_grad_(True)
         with torch.enable_grad():
@@ -113,8 +122,8 @@ class AlphaEstimator(ABC):
     def alpha(self, observation: Observation) -> tuple[Tensor, Tensor]:
         """Estimate the opacity of every pixel on its own and its variance, both [B, 1, H, W].
 
-        The least-squares solution of the mixture with the colour of the disc's middle: exact for a uniform ball,
-        an approximation good enough to find the streak for a shaded one.
+        The least-squares solution of the mixture with the colour of the disc's middle: exact for a
+        uniform ball, an approximation good enough to find the streak for a shaded one.
         """
         middle = Chord(
             offset=torch.zeros(1, dtype=observation.signal.dtype),

@@ -1,12 +1,13 @@
 """One smooth curve in space that explains all contour points of a streak.
 
-Each contour ray u grazes the tube the ball swept: the smallest distance of the axis from it, min over s of |A(s) x u|, equals
-the ball radius. This needs neither tangents nor coupling, holds for any lens, and is the maximum-likelihood use of the
-profiles' edges. [derived]
+Each contour ray u grazes the tube the ball swept: the smallest distance of the axis from it, min
+over s of |A(s) x u|, equals the ball radius. This needs neither tangents nor coupling, holds for
+any lens, and is the maximum-likelihood use of the profiles' edges. [derived]
 
-The curve is A(s) = (x(s), y(s), 1) / q(s) with splines x, y in normalised image coordinates and q, the inverse depth. A line in
-space is then exactly linear in s, whatever its tilt. The image of the curve may move across itself only, which pins
-the parameter s: that of a profile stays where it was along the streak.
+The curve is A(s) = (x(s), y(s), 1) / q(s) with splines x, y in normalised image coordinates and q,
+the inverse depth. A line in space is then exactly linear in s, whatever its tilt. The image of the
+curve may move across itself only, which pins the parameter s: that of a profile stays where it was
+along the streak.
 """
 
 import math
@@ -17,7 +18,7 @@ from torch import Tensor
 
 from toolkit.camera import Camera
 from toolkit.errors import ConfigError
-from toolkit.least_squares import Problem, Solution, minimise
+from toolkit.least_squares import Solution, minimise
 from toolkit.splines import SplineBasis, fit_smooth, fit_spline
 
 GRAZE_STEPS = 4
@@ -50,7 +51,7 @@ class AxisCurve:
         return (_homogeneous(slope, 0.0) - point * depth_slope) / inverse_depth
 
     def J_point(self, s: Tensor) -> Tensor:
-        """Derivative of the point at fixed s in the parameters (across [K], inverse depth [L]), [..., 3, K + L]."""
+        """Derivative of points at fixed s in (across [K], inverse depth [L]): [..., 3, K + L]."""
         normalised, inverse_depth = self._parts(s, 0)
         sideways = _homogeneous(self.across, 0.0).mT * self.image_basis(s)[..., None, :]
         point = _homogeneous(normalised, 1.0) / inverse_depth
@@ -64,7 +65,7 @@ class AxisCurve:
 
     def moved(self, parameters: Tensor) -> "AxisCurve":
         """Give the curve with other parameters [K + L]."""
-        shift, inverse_depth = parameters.split([len(self.image), len(self.inverse_depth)])
+        shift, inverse_depth = parameters[: len(self.image)], parameters[len(self.image) :]
         return replace(
             self, image=self.image + shift[:, None] * self.across, inverse_depth=inverse_depth
         )
@@ -75,7 +76,10 @@ class AxisCurve:
         tangent = self.tangent(s)
         bend = (self.tangent(s + step) - self.tangent(s - step)) / (2 * step)
         speed = torch.linalg.vector_norm(tangent, dim=-1)
-        return speed**3 / torch.linalg.vector_norm(torch.linalg.cross(tangent, bend), dim=-1)
+        radius: Tensor = speed**3 / torch.linalg.vector_norm(
+            torch.linalg.cross(tangent, bend), dim=-1
+        )
+        return radius
 
     def _parts(self, s: Tensor, derivative: int) -> tuple[Tensor, Tensor]:
         normalised = self.image_basis(s, derivative) @ self.image
@@ -141,14 +145,14 @@ def fit_axis(
     sizes: tuple[int, ...] = DEPTH_SIZES,
     steps: int = MAX_STEPS,
 ) -> AxisFit:
-    """Fit the curve whose tube all contour rays graze, with as many depth coefficients as the data ask for.
+    """Fit the curve whose tube all contour rays graze, its depth as flexible as the data ask for.
 
     Args:
         start: first curve.
         edges: contour points with their covariance.
         camera: with distortion.
         ball_radius: m.
-        sizes: numbers of depth coefficients to choose from; the search stops after two without gain.
+        sizes: numbers of depth coefficients to choose from; two without gain end the search.
         steps: most Gauss-Newton steps for each.
 
     Returns:
@@ -156,7 +160,6 @@ def fit_axis(
     """
     rays = camera.unproject(edges.pixels)
     swing = camera.J_unproject(edges.pixels) @ edges.normal[:, None, :, None]
-    count = float((edges.weight > 0).sum())
     per_parameter = math.log(2 * float((edges.weight > 0).sum()))
     best: AxisFit | None = None
     since_best = 0
@@ -166,7 +169,7 @@ def fit_axis(
             _with_depth_size(curve, size), edges, rays, swing[..., 0], ball_radius, steps
         )
         curve = fit.curve
-        # misfit beyond the noise is counted in units of itself once a curve has explained what it can
+        # misfit beyond the noise counts in units of itself once a curve has explained what it can
         scale = max(
             1.0, fit.chi2_per_dof if best is None else min(fit.chi2_per_dof, best.chi2_per_dof)
         )
@@ -217,7 +220,7 @@ def _fit_one(
 def graze_residual(
     curve: AxisCurve, s: Tensor, rays: Tensor, swing: Tensor, ball_radius: float
 ) -> tuple[Tensor, Tensor]:
-    """Say by how many px each contour point lies inside (-) or outside (+) the tube about the curve.
+    """Say by how many px each contour point lies inside (-) or outside (+) the curve's tube.
 
     Args:
         curve: the axis.
@@ -227,14 +230,14 @@ def graze_residual(
         ball_radius: m.
 
     Returns:
-        Residuals along the normal [P, 2] px, and their derivative in the curve's parameters [P, 2, K].
+        Residuals along the normal [P, 2] px, and their derivative in the parameters [P, 2, K + L].
     """
     nearest = nearest_parameter(curve, s[:, None].expand(-1, 2), rays)
     point = curve(nearest)
     moment = torch.linalg.cross(point, rays)
     distance = torch.linalg.vector_norm(moment, dim=-1, keepdim=True)
     unit = moment / distance
-    # |A x u| changes with the point by (u x m), and with the ray by (m x A), m being the unit moment
+    # |A x u| changes with the point by (u x m), with the ray by (m x A), m being the unit moment
     per_px = (torch.linalg.cross(unit, point) * swing).sum(-1)
     residual = (distance[..., 0] - ball_radius) / per_px
     pull = torch.linalg.cross(rays, unit)[..., None, :] @ curve.J_point(nearest)
@@ -262,7 +265,7 @@ def _whitening(edges: Edges) -> Tensor:
     """W with W'W the inverse covariance of (centre, half width) times the weight [P, 2, 2]."""
     identity = torch.eye(2, dtype=edges.covariance.dtype).expand_as(edges.covariance)
     covariance = torch.where((edges.weight > 0)[:, None, None], edges.covariance, identity)
-    factor = torch.linalg.cholesky(torch.linalg.inv(covariance)).mT
+    factor: Tensor = torch.linalg.cholesky(torch.linalg.inv(covariance)).mT
     return factor * edges.weight.sqrt()[:, None, None]
 
 

@@ -1,4 +1,4 @@
-"""What the picture shows away from the ball: the noise of the camera, and how the light drifted since the background."""
+"""What the picture shows away from the ball: the camera's noise, and how the light drifted."""
 
 import math
 from dataclasses import replace
@@ -31,8 +31,9 @@ def estimate_noise(
 ) -> NoiseModel:
     """Estimate read noise and gain from the difference of two pictures, robustly against the ball.
 
-    Raw samples are compared where both pictures still hold them, since demosaicing smooths the noise. Within each group of
-    equal brightness the median is taken out first, so that a drift of the light does not count as noise.
+    Raw samples are compared where both pictures still hold them, since demosaicing smooths the
+    noise. Within each group of equal brightness the median is taken out first, so that a drift of
+    the light does not count as noise.
     Source: MATHS, var(C) = read^2 + gain * C. [derived]
 
     Args:
@@ -41,7 +42,8 @@ def estimate_noise(
         ignore: pixels of the ball and of whatever else moved [B, 1, H, W] bool.
 
     Returns:
-        NoiseModel of one picture; the difference of both has (1 + 1 / background.frames) times its variance.
+        NoiseModel of one picture; the difference of both has (1 + 1 / background.frames) times its
+        variance.
     """
     share = 1 + 1 / background.frames
     pairs = [_channel_samples(image, background, channel, ignore) for channel in range(3)]
@@ -57,7 +59,7 @@ def estimate_noise(
 def brightness_drift(
     image: LinearImage, background: LinearImage, ignore: Tensor | None = None
 ) -> Tensor:
-    """Give the median ratio of shot to background per channel, [3]; 1 when the light stayed the same."""
+    """Give the median ratio of shot to background per channel, [3]; 1 when the light stayed."""
     ratios = []
     for channel in range(3):
         level, difference = _channel_samples(image, background, channel, ignore)
@@ -89,7 +91,7 @@ def _channel_samples(
     shot, ground = shot[::step, ::step], ground[::step, ::step]
     usable = ~clipped[::step, ::step]
     shot, ground = shot[usable].double(), ground[usable].double()
-    # grouping by the background alone would select by its noise, and with it a difference of one sign
+    # grouping by the background alone would select by its noise: differences of one sign
     return (shot + ground) / 2, shot - ground
 
 

@@ -1,7 +1,8 @@
-"""The streak as the image of a canal surface: from its two contours to the ball's place and direction.
+"""The streak as the image of a canal surface: from two contours to the ball's place and direction.
 
-A contour point and its tangent span, with the viewpoint, a plane that touches the ball. Two such planes on facing
-contours, at coupled points, fix the cross section: the direction of motion lies in both, and the ball radius sets the distance.
+A contour point and its tangent span, with the viewpoint, a plane that touches the ball. Two such
+planes on facing contours, at coupled points, fix the cross section: the direction of motion lies in
+both, and the ball radius sets the distance.
 Source: Caglioti & Giusti 2007, section 4, and [derived] as each function says.
 """
 
@@ -13,7 +14,7 @@ from toolkit.types import CrossSections
 
 
 def interpretation_normals(rays: Tensor, tangents: Tensor) -> Tensor:
-    """Give the unit normals, pointing away from the streak, of the planes through contour points and tangents.
+    """Give the outward unit normals of the planes through contour points and tangents.
 
     Args:
         rays: unit viewing rays of left and right contour points [2, N, 3].
@@ -26,22 +27,23 @@ def interpretation_normals(rays: Tensor, tangents: Tensor) -> Tensor:
     normals = torch.linalg.cross(rays, tangents)
     normals = normals / torch.linalg.vector_norm(normals, dim=-1, keepdim=True)
     away = ((normals * (rays - rays.flip(0))).sum(-1, keepdim=True)).sign()
-    return normals * away
+    outward: Tensor = normals * away
+    return outward
 
 
 def couple_points(rays: Tensor, normals: Tensor) -> tuple[Tensor, Tensor]:
     """Find, for every left contour point, the right one that belongs to the same cross section.
 
-    Source: Caglioti & Giusti 2007, section 4.1, property 1: p1 and p2 are coupled when they make the same angle with the
-    vanishing point v = n1 x n2. Deviation: none.
+    Source: Caglioti & Giusti 2007, section 4.1, property 1: p1 and p2 are coupled when they make
+    the same angle with the vanishing point v = n1 x n2. Deviation: none.
 
     Args:
         rays: [2, N, 3].
         normals: [2, N, 3].
 
     Returns:
-        Fractional index of the coupled right point for each left one [N], NaN where there is none, and whether there is one
-        [N] bool.
+        Fractional index of the coupled right point for each left one [N], NaN where there is none,
+        and whether there is one [N] bool.
     """
     left, right = rays
     direction = torch.linalg.cross(normals[0][:, None], normals[1][None])
@@ -64,8 +66,8 @@ def place_cross_sections(
 ) -> CrossSections:
     """Place the ball on the axis for every pair of coupled contour points.
 
-    With outward normals the centre is A = L p1 - R n1 = L p2 - R n2, so that L = R |n1 - n2| / |p1 - p2|; the direction is
-    n1 x n2. [derived from section 4.1]
+    With outward normals the centre is A = L p1 - R n1 = L p2 - R n2, so that
+    L = R |n1 - n2| / |p1 - p2|; the direction is n1 x n2. [derived from section 4.1]
 
     Args:
         rays: unit viewing rays of the left and right point of each pair [N, 2, 3].
@@ -96,8 +98,9 @@ def place_cross_sections(
 def straight_axis(rays: Tensor, weight: Tensor, ball_radius: float) -> tuple[Tensor, Tensor]:
     """Give the axis of a straight streak in closed form: no coupling is needed.
 
-    Each contour is seen in one plane through the viewpoint; its normal is the direction the rays lie across from least. The axis is
-    R away from both planes: its point nearest to the viewpoint is -R (n1 + n2) / (1 + n1.n2), its direction n1 x n2. [derived]
+    Each contour is seen in one plane through the viewpoint; its normal is the direction the rays
+    lie across from least. The axis is R away from both planes: its point nearest to the viewpoint
+    is -R (n1 + n2) / (1 + n1.n2), its direction n1 x n2. [derived]
 
     Args:
         rays: left and right contour rays [2, N, 3].
@@ -105,7 +108,7 @@ def straight_axis(rays: Tensor, weight: Tensor, ball_radius: float) -> tuple[Ten
         ball_radius: m.
 
     Returns:
-        The axis point nearest to the viewpoint [3] m and the unit direction [3], along increasing N.
+        The axis point nearest to the viewpoint [3] m and the unit direction [3], along rising N.
     """
     scatter = torch.einsum("sn,sni,snj->sij", weight, rays, rays)
     normals = torch.linalg.eigh(scatter).eigenvectors[:, :, 0]

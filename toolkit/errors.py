@@ -31,7 +31,7 @@ class ImageError(ToolkitError):
 
 
 class MismatchError(ToolkitError):
-    """Inputs that are each fine but do not fit together (camera and image size, background and shot)."""
+    """Inputs that are each fine but do not fit together: camera and image, background and shot."""
 
     exit_code = 4
 

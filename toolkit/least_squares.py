@@ -1,7 +1,7 @@
 """Vectorised Gauss-Newton for many small least-squares problems at once.
 
-Damping, step rejection, convergence and factorisation failure are kept per element, so that an element's answer never
-depends on its neighbours in the batch.
+Damping, step rejection, convergence and factorisation failure are kept per element, so that an
+element's answer never depends on its neighbours in the batch.
 """
 
 from collections.abc import Callable
@@ -11,7 +11,8 @@ import torch
 from torch import Tensor
 
 Problem = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
-"""Parameters [A, K] of the elements with indices [A] to whitened residuals [A, M] and their Jacobian [A, M, K]."""
+"""From parameters [A, K] of the elements with indices [A] to whitened residuals [A, M] and their
+Jacobian [A, M, K]."""
 
 FIRST_DAMPING = 1e-3
 TINY = 1e-300
@@ -53,8 +54,8 @@ def minimise(
         upper: largest allowed values.
         huber: residuals beyond this many standard deviations count linearly.
         max_iterations: evaluations after the first.
-        tolerance: an element has converged when its step is below this share of every parameter's standard deviation
-            (the other parameters held).
+        tolerance: an element has converged when its step is below this share of every parameter's
+            standard deviation (the other parameters held).
 
     Returns:
         Solution; `converged` is False for elements that ran out of iterations.
@@ -83,7 +84,7 @@ def minimise(
         gradient[improved] = trial_gradient[is_better]
         information[improved] = trial_information[is_better]
         damping[active] = (damping[active] * torch.where(is_better, 0.1, 10.0)).clamp(1e-9, 1e9)
-        # a tiny step ends the search even when rejected: then rounding, not the model, stands in the way
+        # a tiny step ends the search even when rejected: then only rounding stands in the way
         is_small = ((candidate - old).abs() <= tolerance * diagonal.rsqrt()).all(-1)
         active = active[~is_small]
     converged = torch.ones_like(cost, dtype=torch.bool)
@@ -99,7 +100,7 @@ def minimise(
 
 
 def invert_information(information: Tensor) -> Tensor:
-    """Invert symmetric positive matrices [..., K, K]; infinite on the diagonal where that is impossible."""
+    """Invert symmetric positive matrices [..., K, K]; infinite diagonal where they are singular."""
     scale = information.diagonal(dim1=-2, dim2=-1).clamp_min(1e-300).rsqrt()
     factor, failed = torch.linalg.cholesky_ex(
         information * scale[..., :, None] * scale[..., None, :]

@@ -1,8 +1,10 @@
-"""From the path and the opacity to speed, time and the state at mid-exposure, with their covariance.
+"""From path and opacity to speed, time and the state at mid-exposure, with their covariance.
 
-The opacity k at the centre of a profile is the share of the exposure during which the ball covered that ray. With gamma the angle
-between ray and motion it travelled 2R / sin(gamma) meanwhile, so that it passed k sin(gamma) / (2R) exposures per metre.
-Source: MATHS, note 2 on the paper's section 5, whose 2R tan(pi/2 - beta) would be zero for a ball crossing straight ahead. [derived]
+The opacity k at the centre of a profile is the share of the exposure during which the ball covered
+that ray. With gamma the angle between ray and motion it travelled 2R / sin(gamma) meanwhile, so
+that it passed k sin(gamma) / (2R) exposures per metre.
+Source: MATHS, note 2 on the paper's section 5, whose 2R tan(pi/2 - beta) would be zero for a ball
+crossing straight ahead. [derived]
 """
 
 from collections.abc import Callable
@@ -43,7 +45,7 @@ class OpacityData:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Motion:
-    """Everything the path and the pace imply; lengths per exposure until the exposure time is known."""
+    """Everything path and pace imply; lengths per exposure until the exposure time is known."""
 
     position: Tensor  # [3] m at mid-exposure
     displacement: Tensor  # [3] m per exposure at mid-exposure: velocity times exposure time
@@ -86,12 +88,12 @@ def fit_pace(curve: AxisCurve, data: OpacityData, ball_radius: float) -> Pace:
 def make_clock(
     curve: AxisCurve, pace: Pace, low: float, high: float
 ) -> tuple[Callable[[Tensor], Tensor], Callable[[Tensor], Tensor]]:
-    """Give the function from s in [low, high] to the share of the exposure passed since low, and its derivative."""
+    """Give the share of the exposure passed since s = low, up to high, and its derivative in s."""
     grid = torch.linspace(low, high, GRID, dtype=torch.float64)
 
     def rate(s: Tensor) -> Tensor:
-        length = torch.linalg.vector_norm(curve.tangent(s), dim=-1)
-        # the pace is continued as it was at the last contour point: opacity near the ends says nothing else
+        length: Tensor = torch.linalg.vector_norm(curve.tangent(s), dim=-1)
+        # beyond the last contour point the pace goes on as it was: opacity there says nothing else
         exposures = pace.basis(s.clamp(pace.basis.start, pace.basis.stop)) @ pace.coefficients
         return length * exposures
 
@@ -109,7 +111,7 @@ def make_clock(
 
 
 def describe_motion(curve: AxisCurve, pace: Pace, ends: Tensor) -> Motion:
-    """Derive the state at mid-exposure and the path from curve, pace and the two end parameters [2]."""
+    """Derive the state at mid-exposure and the path from curve, pace and end parameters [2]."""
     first, last = ends.tolist()
     clock, _ = make_clock(curve, pace, first, last)
     s = torch.linspace(first, last, GRID, dtype=torch.float64)
@@ -146,8 +148,9 @@ def noise_covariance(
 ) -> Tensor:
     """Propagate the noise of all profiles, and of the ends, to `Motion.state`, [8 + 3 N, 8 + 3 N].
 
-    Path and pace come from the same profiles, whose half width and opacity err together: the joint covariance is carried. Derivatives
-    are central differences of the whole chain in its few parameters.
+    Path and pace come from the same profiles, whose half width and opacity err together: the joint
+    covariance is carried. Derivatives are central differences of the whole chain in its few
+    parameters.
     """
     _, factor = pace_samples(axis.curve, data, ball_radius)
     design = pace.basis(data.s)
@@ -175,7 +178,10 @@ def noise_covariance(
 
 
 def propagate(function: Callable[[Tensor], Tensor], covariance: Tensor) -> Tensor:
-    """Carry a covariance [K, K] of small shifts through a function by central differences along its own axes."""
+    """Carry a covariance [K, K] of small shifts through a function.
+
+    Central differences along its own axes.
+    """
     variances, axes = torch.linalg.eigh(covariance)
     spread = variances.clamp_min(0).sqrt()
     columns = []

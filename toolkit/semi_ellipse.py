@@ -1,10 +1,11 @@
 """The opacity across a streak: a semi-ellipse, averaged over the width of what smooths it.
 
-A ball that crosses a line at constant speed covers the point y of it for a time proportional to its chord there, so that
-alpha(y) = k sqrt(1 - ((y - c) / r)^2) inside the streak and 0 outside.
-Source: Caglioti & Giusti 2007, eq. (2). Deviations: the two cases, exchanged in the paper's text, stand the right way round;
-the slope is infinite at the edge, so the curve is averaged in closed form over a window (pixel area, interpolation and lens
-together), whose standard deviation is the `blur`.
+A ball that crosses a line at constant speed covers the point y of it for a time proportional to its
+chord there, so that alpha(y) = k sqrt(1 - ((y - c) / r)^2) inside the streak and 0 outside.
+Source: Caglioti & Giusti 2007, eq. (2). Deviations: the two cases, exchanged in the paper's text,
+stand the right way round; the slope is infinite at the edge, so the curve is averaged in closed
+form over a window (pixel area, interpolation and lens together), whose standard deviation is the
+`blur`.
 """
 
 import math
@@ -40,7 +41,7 @@ def semi_ellipse(
 def semi_ellipse_and_J(
     offset: Tensor, centre: Tensor, half_width: Tensor, opacity: Tensor, blur: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Give `semi_ellipse` and its derivatives in (centre, half_width, opacity, blur), the latter [..., 4]."""
+    """Give `semi_ellipse`, and its derivatives in (centre, half_width, opacity, blur) [..., 4]."""
     half_window = blur * (WINDOW_PER_BLUR / 2)
     upper = ((offset + half_window - centre) / half_width).clamp(-1, 1)
     lower = ((offset - half_window - centre) / half_width).clamp(-1, 1)
@@ -55,9 +56,8 @@ def semi_ellipse_and_J(
     J_half_width = opacity * (arc - moment) * per_window
     J_half_window = opacity * (height_upper + height_lower) * per_window - alpha / half_window
     J_blur = J_half_window * (WINDOW_PER_BLUR / 2)
-    return alpha, torch.stack(
-        torch.broadcast_tensors(J_centre, J_half_width, alpha_per_opacity, J_blur), dim=-1
-    )
+    columns = (J_centre, J_half_width, alpha_per_opacity, J_blur)
+    return alpha, torch.stack([column.expand_as(alpha) for column in columns], dim=-1)
 
 
 def start_from_moments(
@@ -65,19 +65,19 @@ def start_from_moments(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Give a closed-form first guess of (centre, half_width, opacity) from the moments of alpha.
 
-    Over the whole profile the mean of alpha is c, its variance r^2 / 4 and its area pi k r / 2. [derived]
+    Over the whole profile the mean of alpha is c, its variance r^2 / 4 and its area pi k r / 2.
+    [derived]
 
     Args:
-        offset: px, evenly spaced [S].
+        offset: px, one sample a px on average [..., S].
         alpha: measured opacity [..., S].
         weight: 1 where a sample may be used, else 0 [..., S].
     """
     alpha = alpha * weight
-    step = offset[1] - offset[0]
-    area = (alpha.sum(-1) * step).clamp_min(1e-6)
-    centre = (alpha * offset).sum(-1) * step / area
-    variance = (alpha * (offset - centre[..., None]) ** 2).sum(-1) * step / area
-    half_width = 2 * variance.clamp_min(float(step) ** 2).sqrt()
+    area = alpha.sum(-1).clamp_min(1e-6)
+    centre = (alpha * offset).sum(-1) / area
+    variance = (alpha * (offset - centre[..., None]) ** 2).sum(-1) / area
+    half_width = 2 * variance.clamp_min(1.0).sqrt()
     return centre, half_width, 2 * area / (math.pi * half_width)
 
 

@@ -12,8 +12,8 @@ def check_shape(name: str, tensor: Tensor, *shape: int | str) -> None:
     Args:
         name: what the caller calls the tensor, for the message.
         tensor: the tensor to look at.
-        shape: one entry per axis; an integer is a required length, a letter stands for any length but
-            the same letter for the same length.
+        shape: one entry per axis; an integer is a required length, a letter stands for any length
+            but the same letter for the same length.
 
     Raises:
         ShapeError: when the number of axes or a length disagrees.
@@ -32,5 +32,5 @@ def check_shape(name: str, tensor: Tensor, *shape: int | str) -> None:
 
 
 def as_double(values: object) -> Tensor:
-    """Return `values` as a float64 tensor on its own device (geometry is always solved in float64)."""
+    """Return `values` as a float64 tensor on its own device: geometry is solved in float64."""
     return torch.as_tensor(values).to(torch.float64)

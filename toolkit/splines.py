@@ -1,7 +1,7 @@
 """Smooth curves as linear combinations of a few basis functions.
 
-One family serves every order the data may ask for: a line has 2 coefficients, a parabola 3, a cubic 4, and more
-coefficients make a cubic spline with evenly spread knots.
+One family serves every order the data may ask for: a line has 2 coefficients, a parabola 3, a cubic
+4, and more coefficients make a cubic spline with evenly spread knots.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from torch import Tensor
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SplineBasis:
-    """Clamped B-spline basis on [start, stop]; outside, the end pieces are continued as polynomials."""
+    """Clamped B-spline basis on [start, stop]; outside, the end pieces go on as polynomials."""
 
     start: float
     stop: float
@@ -92,7 +92,7 @@ class SplineFit:
 SIZES = (2, 3, 4, 5, 6, 8, 10, 13, 17)
 """Numbers of coefficients tried: line, parabola, cubic, then splines with more and more knots."""
 OUTLIER = 4.5
-"""Tukey's biweight reaches zero here, in robust standard deviations: 95 % efficient on clean data."""
+"""Tukey's biweight reaches zero here, robust standard deviations: 95 % efficient on clean data."""
 
 
 def fit_smooth(
@@ -100,8 +100,8 @@ def fit_smooth(
 ) -> SplineFit:
     """Fit the curve whose order the data ask for, robustly against outliers.
 
-    Outliers are found once, against the most flexible curve, so that all orders are compared on the same data; the order is
-    the one with the smallest Bayesian information criterion.
+    Outliers are found once, against the most flexible curve, so that all orders are compared on the
+    same data; the order is the one with the smallest Bayesian information criterion.
 
     Args:
         x: [N].
@@ -118,7 +118,7 @@ def fit_smooth(
     for _ in range(4):
         coefficients, _ = fit_spline(flexible, x, values, robust)
         size = _standardised(flexible, coefficients, x, values, weight)
-        # below 1 it only shows that neighbours share samples, which smooth errors do not profit from
+        # below 1 it only shows that neighbours share samples; smooth errors gain nothing by that
         scale = (size[used].median() * _median_factor(values.shape[1])).clamp_min(1.0)
         robust = weight * (1 - (size / (OUTLIER * scale)) ** 2).clamp_min(0) ** 2
     fits = []

@@ -40,8 +40,9 @@ def covariances(
 ) -> Uncertainty:
     """Propagate every source to the state.
 
-    All lengths scale with the ball radius, and speeds with 1 / exposure, exactly. Where the distance between the ends contradicts the
-    opacity by more than noise allows, colour, response or exposure is wrong by about as much, and the speed with it.
+    All lengths scale with the ball radius, and speeds with 1 / exposure, exactly. Where the
+    distance between the ends contradicts the opacity by more than noise allows, colour, response or
+    exposure is wrong by about as much, and the speed with it.
 
     Args:
         found: the reconstruction.
