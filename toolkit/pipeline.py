@@ -15,7 +15,7 @@ from toolkit.ends import rough_ends
 from toolkit.errors import ConfigError
 from toolkit.measurement import Measurement
 from toolkit.profile_fit import BLUR_ROUNDS, fit_profiles, refine_profiles
-from toolkit.profiles import sample_profiles
+from toolkit.profiles import gather_profiles
 from toolkit.reconstruction import follow_motion, reconstruct_axis
 from toolkit.result import describe
 from toolkit.view import StreakView, observe_streak
@@ -105,11 +105,11 @@ def fit_streak(view: StreakView, estimator: AlphaEstimator) -> ProfileFit:
     """
     axis, half_width = view.streak.axis, view.streak.half_width
     for blur_rounds in (1, BLUR_ROUNDS):
-        profiles = sample_profiles(
+        profiles = gather_profiles(
             view.observation,
             view.clipped,
             axis,
-            PROFILE_REACH * half_width + 4,
+            PROFILE_REACH * float(half_width) + 4,
             corner=view.corner,
         )
         fit = fit_profiles(profiles, estimator, half_width=half_width, blur_rounds=blur_rounds)

@@ -52,7 +52,7 @@ def fit_profiles(
     pictures = len(profiles.position)
     whitening = profiles.valid[..., None] / profiles.variance.clamp_min(1e-14).sqrt()
     start = _first_guess(profiles, estimator, half_width)
-    reach = float(profiles.offset[-1])
+    reach = float(profiles.offset.max())
     lower = torch.tensor([-reach, 0.5, 0.0], dtype=torch.float64)
     upper = torch.tensor([reach, reach, 1.5], dtype=torch.float64)
     blur = torch.full((pictures,), START_BLUR, dtype=torch.float64)
@@ -91,13 +91,15 @@ def refine_profiles(
     Args:
         profiles: what was fitted.
         estimator: says what the ball alone would show.
-        fit: the fit so far; profiles flagged in it are handed back as they are.
+        fit: the fit so far; profiles flagged in it, but for NOT_CONVERGED, are handed back as they are.
         about: smooth (centre, half width, opacity) of all profiles [B, P, 3].
     """
     whitening = profiles.valid[..., None] / profiles.variance.clamp_min(1e-14).sqrt()
     rows = about.reshape(-1, 3)
-    good = fit.good.flatten()
-    smooth = _smoothed(profiles.ground)
+    # a step that needs no search takes those along whose search did not settle
+    is_open = (fit.flags & ~int(ProfileFlag.NOT_CONVERGED)) == 0
+    good = is_open.flatten()
+    smooth = profiles.smooth_ground
     problem = _problem(profiles, estimator, whitening, fit.blur, smooth)
     blur = _improve_blur(problem, rows, fit.blur, good)
     problem = _problem(profiles, estimator, whitening, blur, smooth)
@@ -110,7 +112,7 @@ def refine_profiles(
     step = solution.covariance @ solution.gradient[..., None]
     moved = replace(solution, parameters=torch.where(good[:, None], rows - step[..., 0], rows))
     refined = _finish(profiles, moved, blur, fit.iterations + 1)
-    keep = fit.good
+    keep = is_open
     return replace(
         refined,
         centre=torch.where(keep, refined.centre, fit.centre),
@@ -124,10 +126,10 @@ def refine_profiles(
 def _finish(profiles: Profiles, solution: Solution, blur: Tensor, iterations: int) -> ProfileFit:
     """Turn the solution of all profiles into a ProfileFit, with flags for those that failed."""
     pictures, count = profiles.position.shape
-    samples = (profiles.valid.sum(-1) * profiles.signal.shape[-1]).to(torch.float64)
+    samples = _counted(profiles).sum((-1, -2)).to(torch.float64)
     chi2 = solution.cost.reshape(pictures, count) / (samples - 3).clamp_min(1)
     # a model that misses by more than the noise is believed only as far as its own misfit
-    excess = _picture_excess(chi2, profiles.valid)
+    excess = _picture_excess(chi2, _valid_share(profiles))
     covariance = solution.covariance.reshape(pictures, count, 3, 3) * excess[:, None, None, None]
     centre, width, opacity = solution.parameters.reshape(pictures, count, 3).unbind(-1)
     converged = solution.converged.reshape(pictures, count)
@@ -142,7 +144,7 @@ def _finish(profiles: Profiles, solution: Solution, blur: Tensor, iterations: in
         chi2_per_dof=chi2,
         flags=_flags(profiles, converged, width, opacity, covariance),
         blur=blur,
-        samples=profiles.signal[0, 0].numel(),
+        samples=samples.to(torch.int64),
         iterations=iterations,
     )
 
@@ -158,10 +160,14 @@ def _problem(
 
     With a smooth ground [B, P, S, Q] the Jacobian is free of the noise of single samples, and with it of its correlation with the residual.
     """
-    samples = profiles.signal.shape[2]
-    ground, observed, whitening = (
+    ground, observed, whitening, offset = (
         values.flatten(0, 1)
-        for values in (profiles.ground, profiles.signal - profiles.ground, whitening)
+        for values in (
+            profiles.ground,
+            profiles.signal - profiles.ground,
+            whitening,
+            profiles.offset,
+        )
     )
     J_ground = ground if smooth_ground is None else smooth_ground.flatten(0, 1)
     direction = profiles.direction.flatten()[:, None]
@@ -169,10 +175,8 @@ def _problem(
 
     def problem(x: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
         centre, half_width, opacity = x[:, None, :].unbind(-1)
-        alpha, J_alpha = semi_ellipse_and_J(
-            profiles.offset, centre, half_width, opacity, blur[rows]
-        )
-        share = (profiles.offset - centre) / half_width
+        alpha, J_alpha = semi_ellipse_and_J(offset[rows], centre, half_width, opacity, blur[rows])
+        share = (offset[rows] - centre) / half_width
         foreground, slope = estimator.foreground_and_slope(
             Chord(offset=share.clamp(-1, 1), direction=direction[rows])
         )
@@ -185,16 +189,9 @@ def _problem(
             J_share = torch.stack([(-1 / half_width).expand_as(share), -share / half_width], dim=-1)
             pull = (alpha[..., None] * slope * weight)[..., None] * J_share[..., None, :]
             J = torch.cat([J[..., :2] + pull, J[..., 2:]], dim=-1)
-        return residual.flatten(1), J.reshape(len(x), samples * residual.shape[-1], 4)
+        return residual.flatten(1), J.flatten(1, 2)
 
     return problem
-
-
-def _smoothed(values: Tensor) -> Tensor:
-    """Average [B, P, S, Q] over 5 x 5 neighbours in P and S."""
-    maps = values.permute(0, 3, 1, 2)
-    padded = torch.nn.functional.pad(maps, (2, 2, 2, 2), mode="replicate")
-    return torch.nn.functional.avg_pool2d(padded, 5, stride=1).permute(0, 2, 3, 1)
 
 
 def _own_parameters(result: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
@@ -243,10 +240,20 @@ def _improve_blur(problem: Problem, parameters: Tensor, blur: Tensor, used: Tens
     return (blur + step).clamp(*BLUR_RANGE)
 
 
-def _picture_excess(chi2: Tensor, valid: Tensor) -> Tensor:
+def _counted(profiles: Profiles) -> Tensor:
+    """Numbers that enter the comparison [B, P, S, Q] bool."""
+    return profiles.valid[..., None] & torch.isfinite(profiles.variance)
+
+
+def _valid_share(profiles: Profiles) -> Tensor:
+    """Share of each profile's pixels that may be used [B, P]."""
+    filled = profiles.is_filled.sum(-1).clamp_min(1)
+    return profiles.valid.sum(-1) / filled
+
+
+def _picture_excess(chi2: Tensor, valid_share: Tensor) -> Tensor:
     """Median chi-square per degree of freedom of a picture's usable profiles [B], at least 1."""
-    usable = valid.to(chi2.dtype).mean(-1) > MIN_VALID_SHARE
-    medians = torch.where(usable, chi2, torch.nan).nanmedian(dim=-1).values
+    medians = torch.where(valid_share > MIN_VALID_SHARE, chi2, torch.nan).nanmedian(dim=-1).values
     return medians.nan_to_num(nan=1.0).clamp_min(1.0)
 
 
@@ -254,10 +261,10 @@ def _flags(
     profiles: Profiles, converged: Tensor, half_width: Tensor, opacity: Tensor, covariance: Tensor
 ) -> Tensor:
     std = covariance.diagonal(dim1=-2, dim2=-1).sqrt()
-    reach = float(profiles.offset[-1])
+    reach = float(profiles.offset.max())
     faults = {
         ProfileFlag.NOT_CONVERGED: ~converged,
-        ProfileFlag.CLIPPED: profiles.valid.to(opacity.dtype).mean(-1) < MIN_VALID_SHARE,
+        ProfileFlag.CLIPPED: _valid_share(profiles) < MIN_VALID_SHARE,
         ProfileFlag.LOW_CONTRAST: ~(opacity > MIN_SIGNIFICANCE * std[..., 2]),
         ProfileFlag.AT_BOUND: (half_width < 0.75)
         | (half_width > 0.95 * reach)

@@ -1,78 +1,83 @@
-"""Sampling shot and background along lines across the streak, all profiles at once."""
+"""Profiles across the streak, made of the picture's own pixels.
+
+The paper samples shot and background along lines. Here every pixel joins the profile it lies nearest to, at its exact offset from the axis:
+nothing is interpolated, so that noise stays independent and as large as it is, each pixel is used once, and behind a colour
+mosaic each counts for the one channel that was measured there.
+"""
+
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
-from torch.nn.functional import grid_sample
 
 from toolkit.alpha import Observation
 from toolkit.shapes import check_shape
 from toolkit.types import Profiles
 
+COARSE = 8
+"""Profiles between those among which a pixel's nearest is first looked for."""
 
-def sample_profiles(
+
+def gather_profiles(
     observation: Observation,
     clipped: Tensor,
     axis: Tensor,
-    reach: Tensor,
+    reach: float,
     *,
     corner: tuple[int, int] = (0, 0),
-    spacing: float = 1.0,
 ) -> Profiles:
-    """Sample an observation along lines perpendicular to the axis, one sample a pixel, bilinearly.
+    """Gather the pixels about an axis into profiles perpendicular to it, one profile every px.
 
-    The variance handed on is that of raw samples, taken for independent: interpolation smooths and correlates them, which
-    cancels in every sum over many samples, while the variance of a single interpolated sample would be too small by half.
-    Source: Caglioti & Giusti 2007, section 3.2. Deviation: none.
+    Source: Caglioti & Giusti 2007, section 3.2. Deviation: pixels are taken where they are instead of samples being interpolated.
 
     Args:
         observation: signal, ground and variance on a window of the picture [B, Q, H, W].
-        clipped: samples not to be trusted [B, 1, H, W] bool.
+        clipped: pixels not to be trusted [B, 1, H, W] bool.
         axis: points along the streak in the order of the motion assumed [B, N, 2] px of the whole picture.
-        reach: how far profiles extend to either side [B] px; the largest counts.
+        reach: how far profiles extend to either side, px.
         corner: where the window's top-left pixel lies in the whole picture, (x, y).
-        spacing: px between profiles along the axis.
 
     Raises:
         ShapeError: when B disagrees.
     """
     check_shape("axis", axis, observation.signal.shape[0], "N", 2)
-    origin, normal, position = place_profiles(axis, spacing)
-    half = int(torch.ceil(reach.max()).item())
-    offset = torch.arange(-half, half + 1, dtype=origin.dtype)
-    points = origin[:, :, None] + offset[:, None] * normal[:, :, None]
-    shift = torch.tensor(corner, dtype=origin.dtype)
-    local = points - shift
+    origin, normal, position = place_profiles(axis)
     height, width = observation.signal.shape[-2:]
-    size = torch.tensor([width, height], dtype=origin.dtype)
-    inside = ((local >= 0) & (local <= size - 1)).all(-1)
-    grid = (2 * local + 1) / size - 1
-    signal = _sample(observation.signal, grid)
-    touched = _sample(clipped.to(signal.dtype), grid)[..., 0] > 0
+    rows, columns = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
+    pixels = torch.stack([columns, rows], dim=-1).reshape(-1, 2) + torch.tensor(corner)
+    slots = [_assign(pixels.to(axis.dtype), origin[b], normal[b], reach) for b in range(len(axis))]
+    count = max(slot.pixel.shape[1] for slot in slots)
+    index = torch.stack([_pad(slot.pixel, count) for slot in slots])
+    is_filled = index >= 0
+    safe = index.clamp_min(0)
+    offset = torch.stack([_pad(slot.offset, count) for slot in slots])
+    untouched = ~_take(clipped, safe)[..., 0].bool()
     return Profiles(
         origin=origin,
         normal=normal,
         position=position,
-        offset=offset,
-        signal=signal,
-        ground=_sample(observation.ground, grid),
-        variance=_sample(observation.variance, grid),
-        valid=inside & ~touched,
+        offset=torch.where(is_filled, offset, 0),
+        signal=_take(observation.signal, safe),
+        ground=_take(observation.ground, safe),
+        smooth_ground=_take(_box_smoothed(observation.ground), safe),
+        variance=_take(observation.variance, safe),
+        is_filled=is_filled,
+        valid=is_filled & untouched,
     )
 
 
-def place_profiles(axis: Tensor, spacing: float) -> tuple[Tensor, Tensor, Tensor]:
-    """Place profiles evenly along a polyline.
+def place_profiles(axis: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Place profiles along a polyline, one every px (of the longest, in a batch).
 
     Args:
         axis: [B, N, 2] px.
-        spacing: px.
 
     Returns:
         Origins [B, P, 2], unit normals to the right of the motion [B, P, 2] and arc lengths [B, P], px.
     """
     steps = torch.linalg.vector_norm(axis.diff(dim=1), dim=-1)
     length = torch.cat([torch.zeros_like(steps[:, :1]), steps.cumsum(1)], dim=1)
-    count = max(2, int(round(float(length[:, -1].max()) / spacing)) + 1)
+    count = max(2, round(float(length[:, -1].max())) + 1)
     share = torch.linspace(0, 1, count, dtype=axis.dtype)
     position = share * length[:, -1:]
     segment = torch.searchsorted(length.contiguous(), position).clamp(1, axis.shape[1] - 1)
@@ -92,9 +97,51 @@ def place_profiles(axis: Tensor, spacing: float) -> tuple[Tensor, Tensor, Tensor
     return origin, normal, position
 
 
-def _sample(picture: Tensor, grid: Tensor) -> Tensor:
-    """Bilinear samples of [B, Q, H, W] at grid [B, P, S, 2]: [B, P, S, Q] float64."""
-    sampled = grid_sample(
-        picture, grid.to(picture.dtype), mode="bilinear", padding_mode="border", align_corners=False
-    )
-    return sampled.permute(0, 2, 3, 1).to(torch.float64)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Slots:
+    """Which pixel fills each place of each profile; -1 where none does."""
+
+    pixel: Tensor  # [P, S]
+    offset: Tensor  # [P, S] px
+
+
+def _assign(pixels: Tensor, origin: Tensor, normal: Tensor, reach: float) -> _Slots:
+    """Give every pixel [N, 2] within reach of the axis to the profile it lies nearest to."""
+    tangent = torch.stack([normal[:, 1], -normal[:, 0]], dim=-1)
+    profile = COARSE * torch.cdist(pixels, origin[::COARSE]).argmin(1)
+    spacing = float(torch.linalg.vector_norm(origin.diff(dim=0), dim=-1).mean().clamp_min(1e-9))
+    for _ in range(3):
+        along = ((pixels - origin[profile]) * tangent[profile]).sum(-1)
+        profile = (profile + (along / spacing).round().long()).clamp(0, len(origin) - 1)
+    away = pixels - origin[profile]
+    offset = (away * normal[profile]).sum(-1)
+    along = (away * tangent[profile]).sum(-1)
+    chosen = ((offset.abs() <= reach) & (along.abs() <= spacing)).nonzero()[:, 0]
+    profile, offset = profile[chosen], offset[chosen]
+    order = (profile * 4 * (reach + 1) + offset).argsort()
+    profile, offset, chosen = profile[order], offset[order], chosen[order]
+    sizes = torch.bincount(profile, minlength=len(origin))
+    place = torch.arange(len(profile)) - (sizes.cumsum(0) - sizes)[profile]
+    shape = (len(origin), max(int(sizes.max()), 1))
+    pixel_table = torch.full(shape, -1, dtype=torch.int64)
+    pixel_table[profile, place] = chosen
+    offset_table = torch.zeros(shape, dtype=offset.dtype)
+    offset_table[profile, place] = offset
+    return _Slots(pixel=pixel_table, offset=offset_table)
+
+
+def _pad(table: Tensor, count: int) -> Tensor:
+    return torch.nn.functional.pad(table, (0, count - table.shape[1]), value=-1)
+
+
+def _take(picture: Tensor, index: Tensor) -> Tensor:
+    """Values of [B, Q, H, W] at flat pixel indices [B, P, S]: [B, P, S, Q] float64."""
+    flat = picture.flatten(2)
+    taken = [flat[b][:, index[b]].permute(1, 2, 0) for b in range(len(flat))]
+    return torch.stack(taken).to(torch.float64)
+
+
+def _box_smoothed(picture: Tensor) -> Tensor:
+    """Average over 5 x 5 pixels."""
+    padded = torch.nn.functional.pad(picture, (2, 2, 2, 2), mode="replicate")
+    return torch.nn.functional.avg_pool2d(padded, 5, stride=1)

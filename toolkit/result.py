@@ -88,7 +88,7 @@ def _without_speed(found: Reconstruction, uncertainty: Uncertainty) -> Measureme
         budget=Budget(speed=None, depth=_shares(uncertainty, 2)),
         fit=FitSummary(
             chi2_per_dof=float(found.fit.chi2_per_dof[0][good].median()),
-            pixels=int(good.sum()) * found.fit.samples,
+            pixels=int(found.fit.samples[0][good].sum()),
             iterations=found.fit.iterations,
         ),
     )

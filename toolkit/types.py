@@ -1,10 +1,11 @@
-"""What each stage of the pipeline hands to the next: frozen dataclasses, shapes in the field comments.
+"""What each stage hands to the next: frozen dataclasses, shapes in the field comments.
 
 path -> LinearImage -> Streak -> Profiles -> ProfileFit -> Contours -> CrossSections -> Trajectory
 
 Axis letters: B image, P profile, S sample along it, Q signal channel, N point, H row, W column.
-Pixels are (x, y) with (0, 0) at the CENTRE of the top-left pixel; the camera frame is x right, y down,
-z forward with its origin at the viewpoint; metres, seconds, radians; light is linear, sensor white = 1.
+Pixels are (x, y) with (0, 0) at the CENTRE of the top-left pixel; the camera frame is x right, y
+down, z forward with its origin at the viewpoint; metres, seconds, radians; light is linear, sensor
+white = 1.
 """
 
 from dataclasses import dataclass
@@ -40,17 +41,13 @@ class LinearImage:
     clipped: Tensor  # [B, 1, H, W] bool, True where any channel met white
     exposure: Tensor | None = None  # [B] s, None when the file does not tell
     mosaic: Tensor | None = None  # [B, 1, H, W] float32, the values before demosaicing
-    pattern: tuple[tuple[int, ...], ...] | None = (
-        None  # channel 0 R, 1 G, 2 B of the mosaic's period
-    )
-    crop: tuple[int, int, int, int] | None = (
-        None  # left, top of this picture in its full frame, and
-    )
-    # that frame's width, height; None when the file holds no larger frame
+    # the mosaic's period: channel 0 R, 1 G, 2 B
+    pattern: tuple[tuple[int, ...], ...] | None = None
+    # left, top of this picture in its full frame, and that frame's width, height; None when the
+    # file holds no larger frame
+    crop: tuple[int, int, int, int] | None = None
     response: str = "linear"  # how stored brightness became light
-    response_is_assumed: bool = (
-        False  # nobody named the response, it was guessed from the file kind
-    )
+    response_is_assumed: bool = False  # nobody named it, it was guessed from the file kind
     frames: int = 1  # how many pictures were combined into this one (noise is smaller by that)
 
     @property
@@ -68,9 +65,10 @@ class LinearImage:
 class NoiseModel:
     """Variance of one raw sample as a function of its level: read_variance + gain * level.
 
-    `density` is the share of the pixels at which the sensor measured a channel (1/4, 1/2, 1/4 behind a Bayer
-    mosaic, 1 without one): demosaicing smooths the noise but adds no information, so that sums over many
-    interpolated samples have the variance of raw samples divided by the density.
+    `density` is the share of the pixels at which the sensor measured a channel (1/4, 1/2, 1/4
+    behind a Bayer mosaic, 1 without one): demosaicing smooths the noise but adds no information, so
+    that sums over many interpolated samples have the variance of raw samples divided by the
+    density.
     """
 
     read_variance: Tensor  # [B, 3]
@@ -95,16 +93,18 @@ class Streak:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Profiles:
-    """Samples across the streak: sample s of profile p lies at origin[p] + offset[s] * normal[p]."""
+    """Pixels about the streak, sorted into lines across it; B picture, P profile, S place in it, Q signal channel."""
 
-    origin: Tensor  # [B, P, 2] px
+    origin: Tensor  # [B, P, 2] px, on the axis
     normal: Tensor  # [B, P, 2] unit, to the right of the motion along the axis
     position: Tensor  # [B, P] px, arc length of the origin along the axis
-    offset: Tensor  # [S] px
+    offset: Tensor  # [B, P, S] px of the pixel from the origin, along the normal
     signal: Tensor  # [B, P, S, Q] what the estimator observed
     ground: Tensor  # [B, P, S, Q] the same without the ball
-    variance: Tensor  # [B, P, S, Q]
-    valid: Tensor  # [B, P, S] bool, False outside the picture and where clipped
+    smooth_ground: Tensor  # [B, P, S, Q] the ground averaged over neighbouring pixels
+    variance: Tensor  # [B, P, S, Q] infinite where a channel was not measured
+    is_filled: Tensor  # [B, P, S] bool, False where a profile has fewer pixels than others
+    valid: Tensor  # [B, P, S] bool, False where clipped as well
 
     @property
     def direction(self) -> Tensor:
@@ -126,7 +126,7 @@ class ProfileFit:
     chi2_per_dof: Tensor  # [B, P]
     flags: Tensor  # [B, P] int64, bits of ProfileFlag
     blur: Tensor  # [B] px, standard deviation of everything that smooths a profile
-    samples: int  # numbers compared in each profile
+    samples: Tensor  # [B, P] numbers compared in each profile
     iterations: int
 
     @property
