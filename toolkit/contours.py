@@ -65,7 +65,7 @@ def smooth_contours(fit: ProfileFit, picture: int = 0) -> tuple[Contours, Profil
 
 
 def smooth_parameters(fit: ProfileFit, picture: int = 0) -> Tensor:
-    """Give centre, half width and opacity of all profiles, smoothed along the streak, [P, 3].
+    """Give centre, half width, opacity and skew of all profiles, smoothed along the streak, [P, 4].
 
     Raises:
         StreakError: when too few profiles are good.
@@ -78,7 +78,8 @@ def smooth_parameters(fit: ProfileFit, picture: int = 0) -> Tensor:
     for index, values in enumerate((fit.centre, fit.half_width, fit.opacity)):
         weight = torch.where(good, 1 / covariance[:, index, index], 0)
         columns.append(fit_smooth(position, values[picture][:, None], weight)(inside))
-    return torch.cat(columns, dim=-1)
+    skew = fit_smooth(position, fit.skew[picture][:, None], good.to(position.dtype))(inside)
+    return torch.cat([*columns, skew], dim=-1)
 
 
 def check_enough(good: Tensor, flags: Tensor) -> None:

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from toolkit.axis_curve import AxisCurve, nearest_parameter
 from toolkit.camera import Camera
+from toolkit.errors import StreakError
 from toolkit.types import ProfileFit
 
 CAP_REACH = 1.6
@@ -20,6 +21,11 @@ CAP_REACH = 1.6
 STEPS = 25
 SETTLED = 1e-3
 """px."""
+
+LOST_END = (
+    "the streak's ends cannot be located, so that the ball's place along its path stays open; "
+    "check background and ball colour, or name a region that holds the whole streak"
+)
 
 Clock = Callable[[Tensor], Tensor]
 """Parameter along the streak to share of the exposure, rising."""
@@ -172,6 +178,8 @@ def _cap_pixels(
     high = (middle + reach - corner).ceil().long() + 1
     left, right = int(low[0]), min(int(high[0]), width)
     top, bottom = int(low[1]), min(int(high[1]), height)
+    if right - left < 3 or bottom - top < 3:
+        raise StreakError(LOST_END)
     rows, columns = torch.meshgrid(
         torch.arange(top, bottom), torch.arange(left, right), indexing="ij"
     )

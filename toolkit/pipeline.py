@@ -5,28 +5,33 @@ import time
 from dataclasses import replace
 
 import torch
+from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator
 from toolkit.background import check_pair
 from toolkit.camera import Camera
 from toolkit.camera_file import fit_camera
-from toolkit.contours import mark_profiles, smooth_contours, smooth_parameters
+from toolkit.contours import check_enough, mark_profiles, smooth_contours, smooth_parameters
 from toolkit.ends import rough_ends
 from toolkit.errors import ConfigError
 from toolkit.measurement import Measurement
-from toolkit.profile_fit import BLUR_ROUNDS, fit_profiles, refine_profiles
-from toolkit.profiles import gather_profiles
+from toolkit.profile_fit import BLUR_ROUNDS, KNOWN_SKEW, Skew, fit_profiles, refine_profiles
+from toolkit.profiles import axis_bend, gather_profiles
 from toolkit.reconstruction import follow_motion, reconstruct_axis
 from toolkit.result import describe
 from toolkit.view import StreakView, observe_streak
 from toolkit.streak import ROI, refine_axis
-from toolkit.types import LinearImage, ProfileFit, ProfileFlag
+from toolkit.types import LinearImage, ProfileFit, ProfileFlag, Profiles
 from toolkit.uncertainty import covariances
 
 PROFILE_REACH = 1.5
 """Half widths that a profile extends to either side, and 4 px more."""
 REFINEMENTS = 2
 """Rounds in which profiles are fitted about the smooth course of all of them."""
+MISFIT = 2.0
+"""Chi-square per degree of freedom beyond which the ball is not of one colour, or the background has changed."""
+SHADING = 0.3
+"""Standard deviation of the skew that shading may cause."""
 END_MARGIN = 2.0
 """px beyond the ball's first and last image in which profiles are still left out."""
 
@@ -101,28 +106,47 @@ def measure(
 def fit_streak(view: StreakView, estimator: AlphaEstimator) -> ProfileFit:
     """Fit all profiles of the streak, those that touch the ball's first or last image flagged END.
 
-    A first pass about the rough axis finds the middle of the streak; profiles are then laid square to it and fitted again.
+    A first pass about the rough axis finds the middle of the streak; profiles are then laid square
+    to it and fitted again, last of all about the smooth course of all of them. Where the ball is
+    visibly not of one colour, noise is taken to be as large as the misfit, and the opacity may rise
+    from one side to the other as shading makes it.
     """
-    axis, half_width = view.streak.axis, view.streak.half_width
-    for blur_rounds in (1, BLUR_ROUNDS):
-        profiles = gather_profiles(
-            view.observation,
-            view.clipped,
-            axis,
-            PROFILE_REACH * float(half_width) + 4,
-            corner=view.corner,
-        )
-        fit = fit_profiles(profiles, estimator, half_width=half_width, blur_rounds=blur_rounds)
-        fit = _mark_ends(fit)
-        good = fit.good[0]
-        if not bool(good.any()):
-            break
-        half_width = fit.half_width[0][good].median()[None]
-        weight = torch.where(good, 1 / fit.covariance[0, :, 0, 0], 0)
-        axis = refine_axis(fit.middle[0], weight, fit.position[0], float(half_width))
+    profiles, fit, skew = _fit_twice(view, estimator)
+    misfit = _median_chi2(fit)
+    if misfit > MISFIT:
+        profiles = replace(profiles, variance=profiles.variance * misfit)
+        skew = replace(skew, std=SHADING)
+        half_width = _median_half_width(fit)[None]
+        fit = _mark_ends(fit_profiles(profiles, estimator, half_width=half_width, skew=skew))
     for _ in range(REFINEMENTS):
-        fit = refine_profiles(profiles, estimator, fit, smooth_parameters(fit)[None])
-    return fit
+        fit = refine_profiles(profiles, estimator, fit, smooth_parameters(fit)[None], skew)
+    return replace(fit, chi2_per_dof=fit.chi2_per_dof * (misfit if misfit > MISFIT else 1.0))
+
+
+def _fit_twice(view: StreakView, estimator: AlphaEstimator) -> tuple[Profiles, ProfileFit, Skew]:
+    """Fit about the rough axis, then about the one found, whose bend tells the profiles' skew."""
+    axis, half_width, skew = view.streak.axis, view.streak.half_width, None
+    for blur_rounds in (1, BLUR_ROUNDS):
+        reach = PROFILE_REACH * float(half_width) + 4
+        profiles = gather_profiles(view.observation, view.clipped, axis, reach, corner=view.corner)
+        skew = Skew(mean=axis_bend(profiles) * half_width[:, None] / 2, std=KNOWN_SKEW)
+        fit = fit_profiles(
+            profiles, estimator, half_width=half_width, skew=skew, blur_rounds=blur_rounds
+        )
+        fit = _mark_ends(fit)
+        check_enough(fit.good[0], fit.flags[0])
+        half_width = _median_half_width(fit)[None]
+        weight = torch.where(fit.good[0], 1 / fit.covariance[0, :, 0, 0], 0)
+        axis = refine_axis(fit.middle[0], weight, fit.position[0])
+    return profiles, fit, skew
+
+
+def _median_half_width(fit: ProfileFit) -> Tensor:
+    return fit.half_width[0][fit.good[0]].median()
+
+
+def _median_chi2(fit: ProfileFit) -> float:
+    return float(fit.chi2_per_dof[0][fit.good[0]].median())
 
 
 def _mark_ends(fit: ProfileFit) -> ProfileFit:

@@ -14,6 +14,8 @@ from toolkit.alpha import Observation
 from toolkit.shapes import check_shape
 from toolkit.types import Profiles
 
+BEND_REACH = 10
+"""Profiles to either side over which the axis' bend is taken."""
 COARSE = 8
 """Profiles between those among which a pixel's nearest is first looked for."""
 
@@ -95,6 +97,20 @@ def place_profiles(axis: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     # y points down, so turning (x, y) into (-y, x) points to the right of the motion as seen in the picture
     normal = torch.stack([-tangent[..., 1], tangent[..., 0]], dim=-1)
     return origin, normal, position
+
+
+def axis_bend(profiles: Profiles) -> Tensor:
+    """Give the curvature of the axis at each profile [B, P], 1 / px, positive where it bends right."""
+    normal = profiles.normal
+    reach = min(BEND_REACH, (normal.shape[1] - 1) // 2)
+    padded = torch.nn.functional.pad(normal.mT, (reach, reach), mode="replicate").mT
+    turned = padded[:, 2 * reach :] - padded[:, : len(padded[0]) - 2 * reach]
+    tangent = torch.stack([normal[..., 1], -normal[..., 0]], dim=-1)
+    places = torch.arange(normal.shape[1])
+    last = normal.shape[1] - 1
+    span = (places + reach).clamp(max=last) - (places - reach).clamp(min=0)
+    spacing = profiles.position[:, -1:] / last
+    return -(turned * tangent).sum(-1) / (span * spacing)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

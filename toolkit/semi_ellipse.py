@@ -4,8 +4,9 @@ A ball that crosses a line at constant speed covers the point y of it for a time
 chord there, so that alpha(y) = k sqrt(1 - ((y - c) / r)^2) inside the streak and 0 outside.
 Source: Caglioti & Giusti 2007, eq. (2). Deviations: the two cases, exchanged in the paper's text,
 stand the right way round; the slope is infinite at the edge, so the curve is averaged in closed
-form over a window (pixel area, interpolation and lens together), whose standard deviation is the
-`blur`.
+form over a window (pixel area and lens together), whose standard deviation is the `blur`; and a
+path that bends covers the points on the inner side for longer, which to first order multiplies
+the semi-ellipse by 1 + skew (y - c) / r with skew = r / (2 bending radius). [derived]
 """
 
 import math
@@ -18,7 +19,12 @@ WINDOW_PER_BLUR = 2 * math.sqrt(3)
 
 
 def semi_ellipse(
-    offset: Tensor, centre: Tensor, half_width: Tensor, opacity: Tensor, blur: Tensor
+    offset: Tensor,
+    centre: Tensor,
+    half_width: Tensor,
+    opacity: Tensor,
+    skew: Tensor,
+    blur: Tensor,
 ) -> Tensor:
     """Give the opacity at each offset across the streak.
 
@@ -27,36 +33,44 @@ def semi_ellipse(
         centre: c, px.
         half_width: r, px, positive.
         opacity: k, alpha at the centre of an unsmoothed profile.
+        skew: relative rise of the opacity from the centre to the right edge.
         blur: standard deviation of the averaging window, px, positive.
 
     Returns:
         alpha, of the broadcast shape.
     """
-    half_window = blur * (WINDOW_PER_BLUR / 2)
-    upper = _area((offset + half_window - centre) / half_width)
-    lower = _area((offset - half_window - centre) / half_width)
-    return opacity * half_width * (upper - lower) / (2 * half_window)
+    return semi_ellipse_and_J(offset, centre, half_width, opacity, skew, blur)[0]
 
 
 def semi_ellipse_and_J(
-    offset: Tensor, centre: Tensor, half_width: Tensor, opacity: Tensor, blur: Tensor
+    offset: Tensor,
+    centre: Tensor,
+    half_width: Tensor,
+    opacity: Tensor,
+    skew: Tensor,
+    blur: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """Give `semi_ellipse`, and its derivatives in (centre, half_width, opacity, blur) [..., 4]."""
+    """Give `semi_ellipse`, and its derivatives in all but the offset, in their order [..., 5]."""
     half_window = blur * (WINDOW_PER_BLUR / 2)
     upper = ((offset + half_window - centre) / half_width).clamp(-1, 1)
     lower = ((offset - half_window - centre) / half_width).clamp(-1, 1)
     height_upper = (1 - upper * upper).sqrt()
     height_lower = (1 - lower * lower).sqrt()
-    arc = (torch.asin(upper) - torch.asin(lower)) / 2
-    moment = (upper * height_upper - lower * height_lower) / 2
+    area_upper, area_lower = _area(upper, height_upper), _area(lower, height_lower)
+    lean = (height_lower**3 - height_upper**3) / 3  # integral of s sqrt(1 - s^2)
+    area = area_upper - area_lower + skew * lean
+    rise_upper = height_upper * (1 + skew * upper)
+    rise_lower = height_lower * (1 + skew * lower)
     per_window = 1 / (2 * half_window)
-    alpha_per_opacity = half_width * (arc + moment) * per_window
+    alpha_per_opacity = half_width * area * per_window
     alpha = opacity * alpha_per_opacity
-    J_centre = opacity * (height_lower - height_upper) * per_window
-    J_half_width = opacity * (arc - moment) * per_window
-    J_half_window = opacity * (height_upper + height_lower) * per_window - alpha / half_window
+    scale = opacity * per_window
+    J_centre = scale * (rise_lower - rise_upper)
+    J_half_width = scale * (area - (upper * rise_upper - lower * rise_lower))
+    J_half_window = scale * (rise_upper + rise_lower) - alpha / half_window
     J_blur = J_half_window * (WINDOW_PER_BLUR / 2)
-    columns = (J_centre, J_half_width, alpha_per_opacity, J_blur)
+    J_skew = scale * half_width * lean
+    columns = (J_centre, J_half_width, alpha_per_opacity, J_skew, J_blur)
     return alpha, torch.stack([column.expand_as(alpha) for column in columns], dim=-1)
 
 
@@ -81,7 +95,6 @@ def start_from_moments(
     return centre, half_width, 2 * area / (math.pi * half_width)
 
 
-def _area(share: Tensor) -> Tensor:
-    """Integral of sqrt(1 - s^2) from 0 to `share`, constant beyond the rim."""
-    s = share.clamp(-1, 1)
-    return (s * (1 - s * s).sqrt() + torch.asin(s)) / 2
+def _area(share: Tensor, height: Tensor) -> Tensor:
+    """Integral of sqrt(1 - s^2) from 0 to `share`, where it has the given height."""
+    return (share * height + torch.asin(share)) / 2

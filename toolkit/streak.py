@@ -12,7 +12,7 @@ from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator, Observation
 from toolkit.errors import ConfigError, StreakError
-from toolkit.splines import SplineBasis, fit_spline
+from toolkit.splines import SplineBasis, fit_smooth, fit_spline
 from toolkit.types import LinearImage, NoiseModel, Streak
 
 Mask = NDArray[np.uint8]
@@ -25,12 +25,14 @@ SMOOTHING = 1.5
 MIN_SIGNIFICANCE = 5.0
 """Smoothed opacity over its standard deviation: one false pixel in a million."""
 MIN_OPACITY = 0.04
-MIN_LIKENESS = 0.6
-"""Share of a pixel's change that the ball's colour must explain; shadows and bystanders fall below."""
+MIN_LIKENESS = 0.2
+"""Share of a pixel's change that the ball's colour must explain: little, since light differs from place to place."""
 MIN_AREA = 60
 """px of the reduced picture."""
 CANDIDATES = 6
 AXIS_POINTS = 64
+AXIS_SIZES = (2, 3, 4, 5, 6, 8)
+"""Coefficients tried for the axis through fitted profile centres."""
 MIN_ELONGATION = 1.5
 """Length of a candidate over its width; rounder ones are not streaks."""
 ROI = tuple[int, int, int, int]
@@ -80,7 +82,7 @@ def find_streak(
     ).astype(np.uint8)
     if roi is not None:
         found &= _roi_mask(roi, image, factor, found.shape)
-    candidates = sorted(_candidates(found, opacity), key=lambda c: c.score, reverse=True)
+    candidates = sorted(_candidates(found, opacity, likeness), key=lambda c: c.score, reverse=True)
     if not candidates:
         raise StreakError(_why_nothing(found, significance))
     best = candidates[0]
@@ -93,26 +95,20 @@ def find_streak(
     )
 
 
-def refine_axis(middle: Tensor, weight: Tensor, position: Tensor, half_width: float) -> Tensor:
+def refine_axis(middle: Tensor, weight: Tensor, position: Tensor) -> Tensor:
     """Give a smoother axis through fitted profile centres, continued straight to where the old one ended.
 
     Args:
         middle: fitted centre points [P, 2] px.
         weight: 1 / variance of the centres, 0 for profiles to ignore [P].
         position: arc length of the origins [P] px.
-        half_width: px; the axis is free to bend on the scale of a few of them.
 
     Returns:
         Axis points [1, N, 2] px.
     """
-    used = weight > 0
-    first, last = float(position[used].min()), float(position[used].max())
-    size = int(min(8, max(2, 2 + (last - first) / (4 * half_width))))
-    basis = SplineBasis(start=first, stop=last, size=size)
-    coefficients, _ = fit_spline(basis, position[used], middle[used], weight[used])
-    inner = position.clamp(first, last)
-    beyond = (position - inner)[:, None]
-    points = basis(inner) @ coefficients + beyond * (basis(inner, 1) @ coefficients)
+    curve = fit_smooth(position, middle, weight, AXIS_SIZES)
+    inner = position.clamp(curve.basis.start, curve.basis.stop)
+    points = curve(inner) + (position - inner)[:, None] * curve(inner, 1)
     keep = torch.linspace(0, len(points) - 1, AXIS_POINTS).round().long()
     return points[keep][None]
 
@@ -166,7 +162,7 @@ def _roi_mask(roi: ROI, image: LinearImage, factor: int, shape: tuple[int, ...])
     return mask
 
 
-def _candidates(found: Mask, opacity: Map) -> Iterator[Candidate]:
+def _candidates(found: Mask, opacity: Map, likeness: Map) -> Iterator[Candidate]:
     """Yield the largest regions that are elongated enough, with their axes."""
     closed = cv2.morphologyEx(found, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     count, labels, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=8)
@@ -179,7 +175,7 @@ def _candidates(found: Mask, opacity: Map) -> Iterator[Candidate]:
         length = float(np.linalg.norm(np.diff(axis, axis=0), axis=1).sum())
         if length >= MIN_ELONGATION * 2 * half_width:
             evenness = _evenness(mask, axis, half_width)
-            score = float(opacity[mask > 0].sum()) * evenness
+            score = float((opacity * likeness)[mask > 0].sum()) * evenness
             yield Candidate(mask=mask, axis=axis, length=length, half_width=half_width, score=score)
 
 

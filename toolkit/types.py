@@ -122,6 +122,7 @@ class ProfileFit:
     centre: Tensor  # [B, P] px, offset of the semi-ellipse's centre along the normal
     half_width: Tensor  # [B, P] px
     opacity: Tensor  # [B, P] alpha at the centre
+    skew: Tensor  # [B, P] relative rise of alpha from the centre to the right edge
     covariance: Tensor  # [B, P, 3, 3] of (centre, half_width, opacity)
     chi2_per_dof: Tensor  # [B, P]
     flags: Tensor  # [B, P] int64, bits of ProfileFlag
