@@ -285,7 +285,7 @@ def noisy_fits(path, count):
 
 
 def test_noise_spreads_the_parameters_as_the_covariance_says():
-    start, exact, fits = noisy_fits(TILTED, count=80)
+    start, exact, fits = noisy_fits(TILTED, count=30)
     # each fit's parameters, counted from the same start
     across = start.across
     found = torch.stack(
@@ -295,9 +295,9 @@ def test_noise_spreads_the_parameters_as_the_covariance_says():
         ]
     )
     ratio = found.std(0) / exact.covariance.diagonal().sqrt()
-    assert 0.75 < float(ratio.min()) <= float(ratio.max()) < 1.3  # 8 % each for 80 trials
+    assert 0.65 < float(ratio.min()) <= float(ratio.max()) < 1.4  # 13 % each for 30 trials
     chi2 = torch.tensor([f.chi2_per_dof for _, f in fits])
-    assert float(chi2.mean()) == pytest.approx(1, abs=0.03)
+    assert float(chi2.mean()) == pytest.approx(1, abs=0.05)
 
 
 def test_the_gain_says_how_the_parameters_follow_each_profile():
