@@ -13,12 +13,13 @@ from toolkit.semi_ellipse import (
 )
 from toolkit.synthetic import PlainBall, Scene, StraightPath, flat_background, render_shot
 
-CASES = [  # centre, half width, opacity, blur, px
-    (0.0, 10.0, 0.3, 0.5),
-    (2.37, 25.4, 0.9, 0.9),
-    (-4.1, 3.2, 0.05, 1.7),
-    (0.3, 1.1, 1.0, 2.5),  # the window is wider than the streak
+CASES = [  # centre, half width px, opacity, skew, blur px
+    (0.0, 10.0, 0.3, 0.0, 0.5),
+    (2.37, 25.4, 0.9, 0.15, 0.9),
+    (-4.1, 3.2, 0.05, -0.4, 1.7),
+    (0.3, 1.1, 1.0, 0.1, 2.5),  # the window is wider than the streak
 ]
+EVEN = [(*case[:3], 0.0, case[4]) for case in CASES]
 OFFSET = torch.linspace(-40, 40, 801, dtype=torch.float64)
 
 
@@ -26,12 +27,12 @@ def as_tensors(*values):
     return tuple(torch.tensor(value, dtype=torch.float64) for value in values)
 
 
-def averaged_by_hand(offset, centre, half_width, opacity, blur, samples=20_001):
-    """The semi-ellipse as the paper writes it, its mean over the window taken numerically."""
+def averaged_by_hand(offset, centre, half_width, opacity, skew, blur, samples=20_001):
+    """The paper's semi-ellipse, leaning by the skew, its mean over the window taken numerically."""
     window = WINDOW_PER_BLUR * blur
     at = offset + window * ((np.arange(samples) + 0.5) / samples - 0.5)
     share = np.clip((at - centre) / half_width, -1, 1)
-    return opacity * np.sqrt(1 - share**2).mean()
+    return opacity * (np.sqrt(1 - share**2) * (1 + skew * share)).mean()
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -48,16 +49,16 @@ def test_the_window_has_the_standard_deviation_of_the_blur():
 
 
 def test_a_narrow_window_leaves_the_bare_curve():
-    alpha = semi_ellipse(OFFSET, *as_tensors(0.0, 12.0, 0.4, 1e-4))
+    alpha = semi_ellipse(OFFSET, *as_tensors(0.0, 12.0, 0.4, 0.0, 1e-4))
     bare = 0.4 * (1 - (OFFSET / 12) ** 2).clamp_min(0).sqrt()
     assert (alpha - bare).abs().max() < 0.4 * 5e-3  # at the edge, where the slope is infinite
     inner = OFFSET.abs() < 11
     assert (alpha - bare)[inner].abs().max() < 1e-7
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", EVEN)
 def test_blur_moves_light_but_loses_none(case):
-    centre, half_width, opacity, blur = case
+    centre, half_width, opacity, _, blur = case
     alpha = semi_ellipse(OFFSET, *as_tensors(*case))
     step = float(OFFSET[1] - OFFSET[0])
     area = float(alpha.sum()) * step
@@ -70,7 +71,7 @@ def test_blur_moves_light_but_loses_none(case):
 
 @pytest.mark.parametrize("case", CASES)
 def test_beyond_streak_and_window_there_is_nothing(case):
-    centre, half_width, _, blur = case
+    centre, half_width, _, _, blur = case
     alpha = semi_ellipse(OFFSET, *as_tensors(*case))
     beyond = (OFFSET - centre).abs() > half_width + WINDOW_PER_BLUR * blur / 2
     assert beyond.any()
@@ -81,10 +82,10 @@ def test_shapes_broadcast():
     offset = torch.arange(-5.0, 6.0).double()
     one = torch.ones(4, 3, 1, dtype=torch.float64)
     blur = torch.full((4, 1, 1), 0.7, dtype=torch.float64)
-    alpha, J = semi_ellipse_and_J(offset, 0 * one, 3 * one, 0.5 * one, blur)
-    assert semi_ellipse(offset, 0 * one, 3 * one, 0.5 * one, blur).shape == (4, 3, 11)
-    assert alpha.shape == (4, 3, 11)
-    assert J.shape == (4, 3, 11, 4)
+    parameters = (0 * one, 3 * one, 0.5 * one, 0 * one, blur)
+    alpha, J = semi_ellipse_and_J(offset, *parameters)
+    assert semi_ellipse(offset, *parameters).shape == alpha.shape == (4, 3, 11)
+    assert J.shape == (4, 3, 11, 5)
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -103,13 +104,13 @@ def test_both_forms_agree_and_J_is_the_derivative(case):
 def test_J_is_finite_where_the_window_meets_the_rim():
     half_window = WINDOW_PER_BLUR / 2
     offset = torch.tensor([10 + half_window, 10 - half_window, -10 - half_window]).double()
-    _, J = semi_ellipse_and_J(offset, *as_tensors(0.0, 10.0, 0.5, 1.0))
+    _, J = semi_ellipse_and_J(offset, *as_tensors(0.0, 10.0, 0.5, 0.2, 1.0))
     assert torch.isfinite(J).all()
 
 
-@pytest.mark.parametrize("case", CASES[:3])
+@pytest.mark.parametrize("case", EVEN[:3])
 def test_moments_give_the_parameters_of_a_clean_profile(case):
-    centre, half_width, opacity, blur = case
+    centre, half_width, opacity, _, blur = case
     offset = torch.arange(-40.0, 41.0).double()
     alpha = semi_ellipse(offset, *as_tensors(*case))
     guess = start_from_moments(offset, alpha, torch.ones_like(alpha))
@@ -123,7 +124,7 @@ def test_moments_give_the_parameters_of_a_clean_profile(case):
 def test_moments_of_noisy_profiles_are_right_to_half_a_px():
     generator = torch.Generator().manual_seed(4)
     offset = torch.arange(-30.0, 31.0).double()
-    alpha = semi_ellipse(offset, *as_tensors(1.3, 20.0, 0.4, 0.7))
+    alpha = semi_ellipse(offset, *as_tensors(1.3, 20.0, 0.4, 0.0, 0.7))
     noisy = alpha + 0.01 * torch.randn(500, len(offset), generator=generator).double()
     centre, half_width, opacity = start_from_moments(offset, noisy, torch.ones_like(noisy))
     assert (centre - 1.3).std() < 0.5
@@ -133,7 +134,7 @@ def test_moments_of_noisy_profiles_are_right_to_half_a_px():
 
 def test_moments_ignore_what_has_no_weight():
     offset = torch.arange(-30.0, 31.0).double()
-    alpha = semi_ellipse(offset, *as_tensors(0.0, 10.0, 0.4, 0.7))
+    alpha = semi_ellipse(offset, *as_tensors(0.0, 10.0, 0.4, 0.0, 0.7))
     spoiled = torch.where(offset > 20, 5.0, alpha)
     weight = (offset <= 20).double()
     assert torch.allclose(
@@ -146,6 +147,29 @@ def test_an_empty_profile_gives_finite_moments():
     offset = torch.arange(-5.0, 6.0).double()
     guess = start_from_moments(offset, torch.zeros(2, 11).double(), torch.ones(2, 11).double())
     assert torch.isfinite(torch.stack(guess)).all()
+
+
+@pytest.mark.parametrize("turn", [1, -1])
+@pytest.mark.parametrize("bending_radius", [100.0, 300.0])
+def test_the_skew_is_that_of_a_ball_on_a_circle(bending_radius, turn):
+    """Chords of a disc of 20 px that runs on a circle, bending right or left, in closed form."""
+    half_width, opacity = 20.0, 0.3
+    offset = np.linspace(-19.5, 19.5, 79)
+    from_middle = bending_radius - turn * offset  # a turn to the right has its centre on the right
+    covered = np.arccos(
+        (bending_radius**2 + from_middle**2 - half_width**2) / (2 * bending_radius * from_middle)
+    )
+    straight_on = math.acos(1 - half_width**2 / (2 * bending_radius**2))
+    skew = turn * half_width / (2 * bending_radius)
+    model = semi_ellipse(
+        torch.from_numpy(offset), *as_tensors(0.0, half_width, opacity, skew, 1e-3)
+    )
+    error = model.numpy() - opacity * covered / straight_on
+    assert np.abs(error).max() < 0.6 * opacity * (half_width / bending_radius) ** 2
+    without = semi_ellipse(
+        torch.from_numpy(offset), *as_tensors(0.0, half_width, opacity, 0.0, 1e-3)
+    )
+    assert np.abs(without.numpy() - opacity * covered / straight_on).max() > 3 * np.abs(error).max()
 
 
 BALL_RADIUS = 0.05
@@ -183,7 +207,7 @@ def test_many_sharp_images_of_a_ball_leave_a_semi_ellipse(tilt, blur):
     crossed = 2 * BALL_RADIUS / math.cos(tilt)  # 2R / sin(gamma)
     opacity = crossed / 0.26
     width = math.hypot(blur, math.sqrt(1 / 12))
-    model = semi_ellipse(offset, *as_tensors(0.0, half_width, opacity, width))
+    model = semi_ellipse(offset, *as_tensors(0.0, half_width, opacity, 0.0, width))
     inner = offset.abs() < half_width - 3 * width
     # perspective bends the semi-ellipse by less than (R / distance)^2; a box replaces a Gaussian
     assert (model - profile)[inner].abs().max() < 2e-3 * opacity + (0.025**2) * opacity
