@@ -11,7 +11,6 @@ from toolkit.errors import ConfigError, ImageError, MismatchError
 from toolkit.imaging.kinds import kind_of
 from toolkit.imaging.reading import read_image
 from toolkit.imaging.stored import to_linear
-from toolkit.imaging.video import read_median
 from toolkit.types import LinearImage
 
 EXPOSURE_TOLERANCE = 0.01
@@ -52,6 +51,8 @@ def read_background(
 
 
 def _read_clip(path: Path, response: str | Path | None) -> LinearImage:
+    from toolkit.imaging.video import read_median  # its library takes a while to load
+
     stored, count = read_median(path)
     frames = max(1, round(2 * count / math.pi))
     return replace(to_linear(path, stored, response), frames=frames)

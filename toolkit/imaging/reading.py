@@ -7,9 +7,8 @@ from toolkit.imaging.jpeg import read_jpeg
 from toolkit.imaging.kinds import Kind, kind_of
 from toolkit.imaging.png import read_png
 from toolkit.imaging.raw import read_raw
-from toolkit.imaging.stored import to_linear
+from toolkit.imaging.stored import StoredPicture, to_linear
 from toolkit.imaging.tiff import read_tiff
-from toolkit.imaging.video import read_frame
 from toolkit.response import LINEAR, load_response
 from toolkit.types import LinearImage
 
@@ -46,7 +45,7 @@ def read_image(
     try:
         if kind == "raw":
             return read_raw(path, LINEAR if response is None else load_response(response))
-        stored = read_frame(path, frame) if frame is not None else _STILLS[kind](path)
+        stored = _STILLS[kind](path) if frame is None else _read_frame(path, frame)
         return to_linear(path, stored, response)
     except OSError as error:
         raise ImageError(
@@ -61,3 +60,9 @@ def _check_frame(path: Path, kind: Kind, frame: int | None) -> None:
         raise ConfigError(f"{path} is a still picture; leave --frame {frame} out")
     if frame is not None and frame < 0:
         raise ConfigError(f"--frame {frame} is negative; frames of {path} count from 0")
+
+
+def _read_frame(path: Path, frame: int) -> StoredPicture:
+    from toolkit.imaging.video import read_frame  # its library takes a while to load
+
+    return read_frame(path, frame)
