@@ -19,7 +19,7 @@ from torch import Tensor
 from toolkit.camera import Camera
 from toolkit.errors import ConfigError
 from toolkit.least_squares import Solution, minimise
-from toolkit.splines import SplineBasis, fit_smooth, fit_spline
+from toolkit.splines import SIZES, SplineBasis, fit_smooth, fit_spline
 
 GRAZE_STEPS = 4
 """Gauss-Newton steps to the point of the axis nearest to a ray; each gains two digits or more."""
@@ -110,7 +110,12 @@ class AxisFit:
 
 
 def start_curve(
-    centres: Tensor, s: Tensor, weight: Tensor, depth: Tensor, depth_weight: Tensor
+    centres: Tensor,
+    s: Tensor,
+    weight: Tensor,
+    depth: Tensor,
+    depth_weight: Tensor,
+    sizes: tuple[int, ...] = SIZES,
 ) -> AxisCurve:
     """Make a first curve from the middles of the profiles and rough depths.
 
@@ -120,8 +125,9 @@ def start_curve(
         weight: of each centre, 1 / variance in normalised units [P].
         depth: rough depth at each profile [P] m.
         depth_weight: [P].
+        sizes: numbers of coefficients to choose from for the image of the curve.
     """
-    middle = fit_smooth(s, centres, weight)
+    middle = fit_smooth(s, centres, weight, sizes)
     basis = middle.basis
     greville = _greville(basis)
     slope = middle(greville, 1)

@@ -82,6 +82,38 @@ def smooth_parameters(fit: ProfileFit, picture: int = 0) -> Tensor:
     return torch.cat([*columns, skew], dim=-1)
 
 
+def widen_for_correlation(fit: ProfileFit, picture: int = 0) -> ProfileFit:
+    """Widen the covariances where neighbouring profiles err together, as compressed pictures make them.
+
+    What many correlated profiles tell together has the variance of independent ones times 1 + 2 sum of the
+    correlations at all distances. [derived]
+    """
+    good = fit.good[picture]
+    about = smooth_parameters(fit, picture)[good]
+    values = torch.stack([fit.centre, fit.half_width, fit.opacity], dim=-1)[picture][good]
+    std = fit.covariance[picture][good].diagonal(dim1=-2, dim2=-1).sqrt()
+    reach = max(4, int(fit.half_width[picture][good].median()))
+    factors = [_variance_factor(column, reach) for column in ((values - about[:, :3]) / std).mT]
+    scale = torch.tensor(factors, dtype=values.dtype).sqrt()
+    covariance = fit.covariance.clone()
+    covariance[picture] = scale[:, None] * covariance[picture] * scale
+    return replace(fit, covariance=covariance)
+
+
+def _variance_factor(residual: Tensor, reach: int) -> float:
+    """1 + 2 sum of the autocorrelation up to where it is lost in its own noise."""
+    residual = residual - residual.mean()
+    variance = (residual * residual).mean().clamp_min(1e-12)
+    limit = 2 / len(residual) ** 0.5
+    factor = 1.0
+    for lag in range(1, min(reach, len(residual) // 3)):
+        correlation = float((residual[lag:] * residual[:-lag]).mean() / variance)
+        if correlation < limit:
+            break
+        factor += 2 * correlation
+    return factor
+
+
 def check_enough(good: Tensor, flags: Tensor) -> None:
     """Raise `StreakError`, with the most frequent reason, when fewer than MIN_PROFILES are good."""
     if int(good.sum()) >= MIN_PROFILES:

@@ -71,12 +71,17 @@ def pace_samples(curve: AxisCurve, data: OpacityData, ball_radius: float) -> tup
     return data.opacity * factor, factor
 
 
-def fit_pace(curve: AxisCurve, data: OpacityData, ball_radius: float) -> Pace:
+def fit_pace(
+    curve: AxisCurve,
+    data: OpacityData,
+    ball_radius: float,
+    sizes: tuple[int, ...] = RATE_SIZES,
+) -> Pace:
     """Smooth the pace along the path, constant where the data ask for nothing more."""
     samples, factor = pace_samples(curve, data, ball_radius)
     variance = data.covariance[:, 2, 2] * factor**2
     weight = torch.where(data.weight > 0, data.weight / variance, 0)
-    fit = fit_smooth(data.s, samples[:, None], weight, RATE_SIZES)
+    fit = fit_smooth(data.s, samples[:, None], weight, sizes)
     return Pace(
         basis=fit.basis,
         coefficients=fit.coefficients[:, 0],

@@ -11,7 +11,7 @@ from toolkit.alpha import AlphaEstimator
 from toolkit.background import check_pair
 from toolkit.camera import Camera
 from toolkit.camera_file import fit_camera
-from toolkit.contours import check_enough, mark_profiles, smooth_contours, smooth_parameters
+from toolkit.contours import check_enough, mark_profiles, smooth_contours, smooth_parameters, widen_for_correlation
 from toolkit.ends import rough_ends
 from toolkit.errors import ConfigError
 from toolkit.measurement import Measurement
@@ -111,34 +111,49 @@ def fit_streak(view: StreakView, estimator: AlphaEstimator) -> ProfileFit:
     visibly not of one colour, noise is taken to be as large as the misfit, and the opacity may rise
     from one side to the other as shading makes it.
     """
-    profiles, fit, skew = _fit_twice(view, estimator)
-    misfit = _median_chi2(fit)
-    if misfit > MISFIT:
-        profiles = replace(profiles, variance=profiles.variance * misfit)
-        skew = replace(skew, std=SHADING)
-        half_width = _median_half_width(fit)[None]
-        fit = _mark_ends(fit_profiles(profiles, estimator, half_width=half_width, skew=skew))
-    for _ in range(REFINEMENTS):
-        fit = refine_profiles(profiles, estimator, fit, smooth_parameters(fit)[None], skew)
-    return replace(fit, chi2_per_dof=fit.chi2_per_dof * (misfit if misfit > MISFIT else 1.0))
-
-
-def _fit_twice(view: StreakView, estimator: AlphaEstimator) -> tuple[Profiles, ProfileFit, Skew]:
-    """Fit about the rough axis, then about the one found, whose bend tells the profiles' skew."""
-    axis, half_width, skew = view.streak.axis, view.streak.half_width, None
+    axis, half_width, excess = view.streak.axis, view.streak.half_width, 1.0
     for blur_rounds in (1, BLUR_ROUNDS):
         reach = PROFILE_REACH * float(half_width) + 4
         profiles = gather_profiles(view.observation, view.clipped, axis, reach, corner=view.corner)
-        skew = Skew(mean=axis_bend(profiles) * half_width[:, None] / 2, std=KNOWN_SKEW)
-        fit = fit_profiles(
-            profiles, estimator, half_width=half_width, skew=skew, blur_rounds=blur_rounds
+        bend = axis_bend(profiles) * half_width[:, None] / 2
+        fit, skew, excess = _fit_as_seen(
+            profiles, estimator, half_width, bend, excess, blur_rounds
         )
-        fit = _mark_ends(fit)
-        check_enough(fit.good[0], fit.flags[0])
         half_width = _median_half_width(fit)[None]
         weight = torch.where(fit.good[0], 1 / fit.covariance[0, :, 0, 0], 0)
         axis = refine_axis(fit.middle[0], weight, fit.position[0])
-    return profiles, fit, skew
+    profiles = replace(profiles, variance=profiles.variance * excess)
+    for _ in range(REFINEMENTS):
+        fit = refine_profiles(profiles, estimator, fit, smooth_parameters(fit)[None], skew)
+    fit = widen_for_correlation(fit)
+    return replace(fit, chi2_per_dof=fit.chi2_per_dof * excess)
+
+
+def _fit_as_seen(
+    profiles: Profiles,
+    estimator: AlphaEstimator,
+    half_width: Tensor,
+    bend: Tensor,
+    excess: float,
+    blur_rounds: int,
+) -> tuple[ProfileFit, Skew, float]:
+    """Fit profiles with noise as large as their misfit: the model's own where it is right.
+
+    Returns:
+        The fit, the skew it assumed, and by how much the variance exceeds that of the noise.
+    """
+    while True:
+        skew = Skew(mean=bend, std=KNOWN_SKEW if excess == 1 else SHADING)
+        widened = replace(profiles, variance=profiles.variance * excess)
+        fit = fit_profiles(
+            widened, estimator, half_width=half_width, skew=skew, blur_rounds=blur_rounds
+        )
+        fit = _mark_ends(fit)
+        misfit = excess * _median_chi2(fit)
+        if excess > 1 or misfit <= MISFIT:
+            check_enough(fit.good[0], fit.flags[0])
+            return fit, skew, excess
+        excess = misfit
 
 
 def _median_half_width(fit: ProfileFit) -> Tensor:
@@ -146,7 +161,9 @@ def _median_half_width(fit: ProfileFit) -> Tensor:
 
 
 def _median_chi2(fit: ProfileFit) -> float:
-    return float(fit.chi2_per_dof[0][fit.good[0]].median())
+    """Median over the profiles between the ends, whether or not their search settled."""
+    usable = (fit.flags[0] & ~int(ProfileFlag.NOT_CONVERGED)) == 0
+    return float(fit.chi2_per_dof[0][usable].median()) if bool(usable.any()) else 1.0
 
 
 def _mark_ends(fit: ProfileFit) -> ProfileFit:

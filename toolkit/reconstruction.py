@@ -7,14 +7,22 @@ import torch
 from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator
-from toolkit.axis_curve import AxisCurve, AxisFit, Edges, fit_axis, start_curve
+from toolkit.axis_curve import DEPTH_SIZES, AxisCurve, AxisFit, Edges, fit_axis, start_curve
 from toolkit.camera import Camera
 from toolkit.canal import couple_points, interpretation_normals, place_cross_sections, straight_axis
 from toolkit.ends import Ends, OpacityMap, locate_ends, rough_ends
 from toolkit.errors import StreakError
-from toolkit.motion import Motion, OpacityData, Pace, describe_motion, fit_pace, make_clock
+from toolkit.motion import (
+    RATE_SIZES,
+    Motion,
+    OpacityData,
+    Pace,
+    describe_motion,
+    fit_pace,
+    make_clock,
+)
 from toolkit.view import StreakView
-from toolkit.splines import fit_spline
+from toolkit.splines import SIZES, fit_spline
 from toolkit.types import Contours, CrossSections, ProfileFit
 
 CLOCK_MARGIN = 4.0
@@ -67,8 +75,12 @@ def reconstruct_axis(
     focal = (camera.fx + camera.fy) / 2
     centre_weight = good * focal**2 / fit.covariance[0, :, 0, 0]
     centres = camera.undistort(fit.middle[0])
-    start = start_curve(centres, s, centre_weight, depth.expand_as(s), good)
-    axis = fit_axis(start, _edges(fit, s), camera, ball_radius)
+    widths = _length_in_widths(fit)
+    start = start_curve(
+        centres, s, centre_weight, depth.expand_as(s), good, up_to(3 + widths, SIZES)
+    )
+    depth_sizes = up_to(2 + widths / 1.5, DEPTH_SIZES)
+    axis = fit_axis(start, _edges(fit, s), camera, ball_radius, depth_sizes)
     _check_axis(axis, s[fit.good[0]], ball_radius)
     return axis
 
@@ -94,7 +106,8 @@ def follow_motion(
 ) -> Reconstruction:
     """Find how fast the ball passed along its path, and where it was when the exposure began and ended."""
     opacity = opacity_data(fit, along_axis(fit, camera), camera)
-    pace = fit_pace(axis.curve, opacity, ball_radius)
+    pace_sizes = up_to(1 + _length_in_widths(fit) / 1.5, RATE_SIZES)
+    pace = fit_pace(axis.curve, opacity, ball_radius, pace_sizes)
     half_width = float(fit.half_width[fit.good].median())
     s, position = opacity.s.numpy(), fit.position[0].numpy()
     first, last = (float(np.interp(end, position, s)) for end in rough_ends(fit))
@@ -130,6 +143,18 @@ def opacity_data(fit: ProfileFit, s: Tensor, camera: Camera) -> OpacityData:
         covariance=fit.covariance[0],
         weight=fit.good[0].to(torch.float64),
     )
+
+
+def up_to(limit: float, sizes: tuple[int, ...]) -> tuple[int, ...]:
+    """Numbers of coefficients that a streak is long enough for: features shorter than the ball cannot be seen."""
+    return tuple(size for size in sizes if size <= limit) or sizes[:1]
+
+
+def _length_in_widths(fit: ProfileFit) -> float:
+    """Length of the contours between the ball's first and last image, in widths of the streak."""
+    good = fit.good[0]
+    position = fit.position[0][good]
+    return float((position.max() - position.min()) / (2 * fit.half_width[0][good].median()))
 
 
 def _edges(fit: ProfileFit, s: Tensor) -> Edges:
