@@ -107,7 +107,7 @@ def test_shapes():
     "axis", [line((20.0, 30.0), (60.0, 30.0)), line((22.3, 24.8), (61.0, 46.4)), arc(40.0)]
 )
 def test_a_linear_ramp_comes_back_exactly(axis):
-    """A pixel differs from its profile's line by half a px along the axis, outside a bend by more."""
+    """A pixel lies half a px from its profile's line at most, on the outside of a bend more."""
     profiles = gathered(axis)
     tangent = torch.stack([profiles.normal[..., 1], -profiles.normal[..., 0]], dim=-1)
     slope = torch.tensor([0.5, -0.25], dtype=torch.float64)
@@ -131,7 +131,7 @@ def test_pixels_on_an_axis_of_whole_px_are_met_exactly():
     assert torch.allclose(profiles.ground, 0.5 * profiles.signal)
     assert torch.allclose(profiles.variance, 0.01 * profiles.signal + 1e-4)
     # a 5 x 5 mean changes nothing of a ramp
-    assert torch.allclose(profiles.smooth_ground, profiles.ground)
+    assert torch.allclose(profiles.smooth_ground[inner], profiles.ground[inner])
 
 
 @pytest.mark.parametrize("axis", [line((22.3, 24.8), (61.0, 46.4)), arc(40.0)])
