@@ -29,8 +29,12 @@ class Uniform(AlphaEstimator):
     def observe(
         self, image: LinearImage, background: LinearImage, noise: NoiseModel
     ) -> Observation:
-        """Hand on the colours of shot and background as they are."""
-        variance = noise.variance(image.rgb) + noise.variance(background.rgb) / background.frames
+        """Hand on the colours as they are; behind a mosaic, those measured and no others."""
+        measured = image.measured()
+        variance = (
+            noise.variance(image.rgb, measured)
+            + noise.variance(background.rgb, measured) / background.frames
+        )
         return Observation(signal=image.rgb, ground=background.rgb, variance=variance)
 
     def foreground(self, chord: Chord, appearance: Tensor | None) -> Tensor:

@@ -246,7 +246,11 @@ def graze_residual(
     # |A x u| changes with the point by (u x m), with the ray by (m x A), m being the unit moment
     per_px = (torch.linalg.cross(unit, point) * swing).sum(-1)
     residual = (distance[..., 0] - ball_radius) / per_px
-    pull = torch.linalg.cross(rays, unit)[..., None, :] @ curve.J_point(nearest)
+    # the derivative belongs to where the contour is predicted: taken at the noisy edge it would
+    # follow the noise, which draws the ball nearer by the square of noise over half width
+    predicted = torch.nn.functional.normalize(rays - residual[..., None] * swing, dim=-1)
+    unit = torch.nn.functional.normalize(torch.linalg.cross(point, predicted), dim=-1)
+    pull = torch.linalg.cross(predicted, unit)[..., None, :] @ curve.J_point(nearest)
     return residual, pull[..., 0, :] / per_px[..., None]
 
 

@@ -61,7 +61,7 @@ def gather_profiles(
         offset=torch.where(is_filled, offset, 0),
         signal=_take(observation.signal, safe),
         ground=_take(observation.ground, safe),
-        smooth_ground=_take(_box_smoothed(observation.ground), safe),
+        smooth_ground=_take(_ring_smoothed(observation.ground), safe),
         variance=_take(observation.variance, safe),
         is_filled=is_filled,
         valid=is_filled & untouched,
@@ -157,7 +157,12 @@ def _take(picture: Tensor, index: Tensor) -> Tensor:
     return torch.stack(taken).to(torch.float64)
 
 
-def _box_smoothed(picture: Tensor) -> Tensor:
-    """Average over 5 x 5 pixels."""
-    padded = torch.nn.functional.pad(picture, (2, 2, 2, 2), mode="replicate")
-    return torch.nn.functional.avg_pool2d(padded, 5, stride=1)
+def _ring_smoothed(picture: Tensor) -> Tensor:
+    """Average over 7 x 7 pixels but for the inner 3 x 3, into which demosaicing spreads the middle's noise."""
+
+    def total(size: int) -> Tensor:
+        half = size // 2
+        padded = torch.nn.functional.pad(picture, (half,) * 4, mode="replicate")
+        return torch.nn.functional.avg_pool2d(padded, size, stride=1) * size**2
+
+    return (total(7) - total(3)) / 40

@@ -8,7 +8,7 @@ down, z forward with its origin at the viewpoint; metres, seconds, radians; ligh
 white = 1.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntFlag
 
 import torch
@@ -50,6 +50,32 @@ class LinearImage:
     response_is_assumed: bool = False  # nobody named it, it was guessed from the file kind
     frames: int = 1  # how many pictures were combined into this one (noise is smaller by that)
 
+    def measured(self) -> Tensor | None:
+        """Which channels the sensor measured at each pixel [1, 3, H, W] bool; None when all were."""
+        if self.mosaic is None or self.pattern is None:
+            return None
+        period = torch.tensor(self.pattern)
+        rows = torch.arange(self.height) % period.shape[0]
+        columns = torch.arange(self.width) % period.shape[1]
+        channel = period[rows[:, None], columns[None]]
+        return torch.stack([channel == c for c in range(3)])[None]
+
+    def window(self, left: int, top: int, width: int, height: int) -> "LinearImage":
+        """Cut out a part of the picture; its mosaic's pattern starts at the new corner."""
+        area = (..., slice(top, top + height), slice(left, left + width))
+        pattern = self.pattern
+        if pattern is not None:
+            rows = [pattern[(top + y) % len(pattern)] for y in range(len(pattern))]
+            pattern = tuple(tuple(r[(left + x) % len(r)] for x in range(len(r))) for r in rows)
+        return replace(
+            self,
+            rgb=self.rgb[area],
+            clipped=self.clipped[area],
+            mosaic=None if self.mosaic is None else self.mosaic[area],
+            pattern=pattern,
+            crop=None,
+        )
+
     @property
     def width(self) -> int:
         """Columns."""
@@ -75,11 +101,25 @@ class NoiseModel:
     gain: Tensor  # [B, 3]
     density: Tensor  # [3]
 
-    def variance(self, level: Tensor) -> Tensor:
-        """Give the variance per sample at `level` [B, 3, H, W], same shape."""
-        read = (self.read_variance / self.density)[:, :, None, None]
-        gain = (self.gain / self.density)[:, :, None, None]
-        return (read + gain * level.clamp_min(0)).to(level.dtype)
+    def variance(self, level: Tensor, measured: Tensor | None = None) -> Tensor:
+        """Give the variance per sample at `level` [B, 3, H, W], same shape.
+
+        The level is averaged over 5 x 5 pixels first: a weight that follows the noise of its own
+        pixel pulls every sum towards darker values.
+
+        Args:
+            level: picture whose noise is asked for.
+            measured: channels the sensor measured at each pixel [1, 3, H, W] bool; elsewhere the
+                variance is infinite, and the rest counts as raw samples.
+        """
+        smooth = torch.nn.functional.avg_pool2d(
+            level, 5, stride=1, padding=2, count_include_pad=False
+        )
+        raw = self.read_variance[..., None, None] + self.gain[..., None, None] * smooth.clamp_min(0)
+        raw = raw.to(level.dtype)
+        if measured is not None:
+            return torch.where(measured, raw, torch.inf)
+        return raw / self.density[:, None, None].to(level.dtype)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,7 +141,7 @@ class Profiles:
     offset: Tensor  # [B, P, S] px of the pixel from the origin, along the normal
     signal: Tensor  # [B, P, S, Q] what the estimator observed
     ground: Tensor  # [B, P, S, Q] the same without the ball
-    smooth_ground: Tensor  # [B, P, S, Q] the ground averaged over neighbouring pixels
+    smooth_ground: Tensor  # [B, P, S, Q] the ground averaged over pixels around, without its own
     variance: Tensor  # [B, P, S, Q] infinite where a channel was not measured
     is_filled: Tensor  # [B, P, S] bool, False where a profile has fewer pixels than others
     valid: Tensor  # [B, P, S] bool, False where clipped as well

@@ -1,6 +1,6 @@
 """The part of shot and background that matters: the streak's surroundings, in the same light, with their noise."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -58,7 +58,7 @@ def observe_streak(
     noise = estimate_noise(image, background, ignore)
     _check_inside(streak, image)
     left, top, width, height = _window(streak, image)
-    shot, ground = (_cut(picture, left, top, width, height) for picture in (image, background))
+    shot, ground = (picture.window(left, top, width, height) for picture in (image, background))
     return StreakView(
         streak=streak,
         observation=estimator.observe(shot, ground, noise),
@@ -97,11 +97,3 @@ def _window(streak: Streak, image: LinearImage) -> ROI:
     high = (streak.axis[0].amax(0) + reach).ceil().long().tolist()
     right, bottom = min(high[0], image.width), min(high[1], image.height)
     return low[0], low[1], right - low[0], bottom - low[1]
-
-
-def _cut(image: LinearImage, left: int, top: int, width: int, height: int) -> LinearImage:
-    """Cut out a window; the mosaic, whose pattern would shift, is not needed any more."""
-    area = (..., slice(top, top + height), slice(left, left + width))
-    return replace(
-        image, rgb=image.rgb[area], clipped=image.clipped[area], mosaic=None, pattern=None
-    )
