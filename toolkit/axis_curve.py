@@ -19,7 +19,7 @@ from torch import Tensor
 from toolkit.camera import Camera
 from toolkit.errors import ConfigError
 from toolkit.least_squares import Solution, minimise
-from toolkit.splines import SIZES, SplineBasis, fit_smooth, fit_spline
+from toolkit.splines import PER_COEFFICIENT, SIZES, SplineBasis, fit_smooth, fit_spline
 
 GRAZE_STEPS = 4
 """Gauss-Newton steps to the point of the axis nearest to a ray; each gains two digits or more."""
@@ -162,26 +162,21 @@ def fit_axis(
         steps: most Gauss-Newton steps for each.
 
     Returns:
-        AxisFit of the smallest Bayesian information criterion.
+        AxisFit of the smallest information criterion, as in `fit_smooth`.
     """
     rays = camera.unproject(edges.pixels)
     swing = camera.J_unproject(edges.pixels) @ edges.normal[:, None, :, None]
-    per_parameter = math.log(2 * float((edges.weight > 0).sum()))
-    best: AxisFit | None = None
-    since_best = 0
-    curve = start
+    is_straight = len(start.image) == 2
+    leaving = math.log(2 * float((edges.weight > 0).sum())) if is_straight else 0.0
+    curve, best, lowest, since_best = start, None, math.inf, 0
     for size in sizes:
         fit = _fit_one(
             _with_depth_size(curve, size), edges, rays, swing[..., 0], ball_radius, steps
         )
         curve = fit.curve
-        # misfit beyond the noise counts in units of itself once a curve has explained what it can
-        scale = max(
-            1.0, fit.chi2_per_dof if best is None else min(fit.chi2_per_dof, best.chi2_per_dof)
-        )
-        criterion = fit.chi2 / scale + per_parameter * len(curve.parameters)
-        if best is None or criterion < best.chi2 / scale + per_parameter * len(best.covariance):
-            best, since_best = fit, 0
+        criterion = fit.chi2 + PER_COEFFICIENT * size + (leaving if size > min(sizes) else 0.0)
+        if best is None or criterion < lowest:
+            best, lowest, since_best = fit, criterion, 0
         else:
             since_best += 1
         if since_best == 2:

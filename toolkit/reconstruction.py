@@ -79,7 +79,9 @@ def reconstruct_axis(
     start = start_curve(
         centres, s, centre_weight, depth.expand_as(s), good, up_to(3 + widths, SIZES)
     )
-    depth_sizes = up_to(2 + widths / 1.5, DEPTH_SIZES)
+    # what bends in the picture bends in depth too, whether or not the data can tell
+    bending = DEPTH_SIZES if len(start.image) == 2 else DEPTH_SIZES[1:]
+    depth_sizes = up_to(2 + widths / 1.5, bending)
     axis = fit_axis(start, _edges(fit, s), camera, ball_radius, depth_sizes)
     _check_axis(axis, s[fit.good[0]], ball_radius)
     return axis
