@@ -198,3 +198,12 @@ def test_full_disk_behind_stdout_is_7():
         )
     assert done.returncode == 7
     assert done.stderr.startswith("toolkit: No space left")
+
+
+@pytest.mark.parametrize(("said", "expected"), [(None, "PASSIVE"), ("ACTIVE", "ACTIVE")])
+def test_threads_wait_without_spinning_unless_told(monkeypatch, said, expected):
+    monkeypatch.setenv("OMP_WAIT_POLICY", said or "")
+    if said is None:
+        monkeypatch.delenv("OMP_WAIT_POLICY")
+    main(["--version"])
+    assert os.environ["OMP_WAIT_POLICY"] == expected
