@@ -167,7 +167,7 @@ def fit_axis(
     rays = camera.unproject(edges.pixels)
     swing = camera.J_unproject(edges.pixels) @ edges.normal[:, None, :, None]
     is_straight = len(start.image) == 2
-    leaving = math.log(2 * float((edges.weight > 0).sum())) if is_straight else 0.0
+    leaving = 2 * math.log(2 * float((edges.weight > 0).sum())) if is_straight else 0.0
     curve, best, lowest, since_best = start, None, math.inf, 0
     for size in sizes:
         fit = _fit_one(

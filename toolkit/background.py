@@ -134,12 +134,14 @@ def _fit_variance(level: Tensor, difference: Tensor, share: float) -> tuple[floa
 
 
 def _robust_variance(difference: Tensor) -> Tensor:
-    """Variance of the bulk: samples beyond 4 standard deviations of the middle half are left out.
+    """Variance of the bulk: samples beyond 4 standard deviations of the bulk are left out.
 
-    Plain median absolute deviation would be 0 on 8-bit pictures whose noise is below one step.
+    On 8-bit pictures most differences may be exactly 0, so that the median or even the middle half
+    says nothing: the spread is looked for further and further out.
     """
-    centred = difference - difference.median()
-    quarter = (torch.quantile(centred, 0.75) - torch.quantile(centred, 0.25)) / 1.349
-    spread = torch.maximum(quarter, centred.abs().mean() * 0.5)
-    kept = centred[centred.abs() <= 4 * spread]
-    return kept.var() if kept.numel() > 1 else spread**2
+    size = (difference - difference.median()).abs()
+    shares = torch.tensor([0.5, 0.8, 0.98], dtype=size.dtype)
+    half, most, nearly_all = size.quantile(shares).tolist()
+    spread = max(half / 0.674, most / 1.282) or nearly_all
+    kept = difference[size <= 4 * spread]
+    return kept.var() if len(kept) > 1 else difference.new_zeros(())

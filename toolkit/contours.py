@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from toolkit.errors import StreakError
-from toolkit.splines import SplineFit, fit_smooth
+from toolkit.splines import SIZES, SplineFit, fit_smooth, up_to
 from toolkit.types import Contours, ProfileFit, ProfileFlag
 
 MIN_PROFILES = 8
@@ -52,7 +52,7 @@ def smooth_contours(fit: ProfileFit, picture: int = 0) -> tuple[Contours, Profil
         dtype=position.dtype,
     )
     weight = torch.where(good, 1 / covariance[:, 2, 2], 0)
-    opacity = fit_smooth(position, fit.opacity[picture][:, None], weight)
+    opacity = fit_smooth(position, fit.opacity[picture][:, None], weight, orders(fit, picture))
     contours = Contours(
         position=at,
         points=torch.stack([side(at) for side in sides]),
@@ -74,12 +74,25 @@ def smooth_parameters(fit: ProfileFit, picture: int = 0) -> Tensor:
     check_enough(good, fit.flags[picture])
     position, covariance = fit.position[picture], fit.covariance[picture]
     inside = position.clamp(float(position[good].min()), float(position[good].max()))
+    sizes = orders(fit, picture)
     columns = []
     for index, values in enumerate((fit.centre, fit.half_width, fit.opacity)):
         weight = torch.where(good, 1 / covariance[:, index, index], 0)
-        columns.append(fit_smooth(position, values[picture][:, None], weight)(inside))
-    skew = fit_smooth(position, fit.skew[picture][:, None], good.to(position.dtype))(inside)
+        columns.append(fit_smooth(position, values[picture][:, None], weight, sizes)(inside))
+    skew = fit_smooth(position, fit.skew[picture][:, None], good.to(position.dtype), sizes)(inside)
     return torch.cat([*columns, skew], dim=-1)
+
+
+def length_in_widths(fit: ProfileFit, picture: int = 0) -> float:
+    """Length of the contours between the ball's first and last image, in widths of the streak."""
+    good = fit.good[picture]
+    position = fit.position[picture][good]
+    return float((position.max() - position.min()) / (2 * fit.half_width[picture][good].median()))
+
+
+def orders(fit: ProfileFit, picture: int = 0) -> tuple[int, ...]:
+    """Numbers of coefficients to try along the streak: what is finer than the ball cannot be seen."""
+    return up_to(3 + length_in_widths(fit, picture), SIZES)
 
 
 def widen_for_correlation(fit: ProfileFit, picture: int = 0) -> ProfileFit:
@@ -139,7 +152,8 @@ def _side(fit: ProfileFit, picture: int, side: int) -> SplineFit:
     covariance = fit.covariance[picture]
     variance = covariance[:, 0, 0] + covariance[:, 1, 1] + 2 * side * covariance[:, 0, 1]
     weight = torch.where(fit.good[picture], 1 / variance.clamp_min(1e-8), 0)
-    return fit_smooth(fit.position[picture], fit.edges[picture, :, (side + 1) // 2], weight)
+    points = fit.edges[picture, :, (side + 1) // 2]
+    return fit_smooth(fit.position[picture], points, weight, orders(fit, picture))
 
 
 def _unit(vectors: Tensor) -> Tensor:

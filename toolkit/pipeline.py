@@ -11,9 +11,16 @@ from toolkit.alpha import AlphaEstimator
 from toolkit.background import check_pair
 from toolkit.camera import Camera
 from toolkit.camera_file import fit_camera
-from toolkit.contours import check_enough, mark_profiles, smooth_contours, smooth_parameters, widen_for_correlation
+from toolkit.contours import (
+    check_enough,
+    mark_profiles,
+    orders,
+    smooth_contours,
+    smooth_parameters,
+    widen_for_correlation,
+)
 from toolkit.ends import rough_ends
-from toolkit.errors import ConfigError
+from toolkit.errors import ConfigError, StreakError
 from toolkit.measurement import Measurement
 from toolkit.profile_fit import BLUR_ROUNDS, KNOWN_SKEW, Skew, fit_profiles, refine_profiles
 from toolkit.profiles import axis_bend, gather_profiles
@@ -32,6 +39,8 @@ MISFIT = 2.0
 """Chi-square per degree of freedom beyond which the ball is not of one colour, or the background has changed."""
 SHADING = 0.3
 """Standard deviation of the skew that shading may cause."""
+CORNER = math.radians(40)
+"""Turn of the axis within two half widths beyond which the path has a corner."""
 END_MARGIN = 2.0
 """px beyond the ball's first and last image in which profiles are still left out."""
 
@@ -121,7 +130,8 @@ def fit_streak(view: StreakView, estimator: AlphaEstimator) -> ProfileFit:
         )
         half_width = _median_half_width(fit)[None]
         weight = torch.where(fit.good[0], 1 / fit.covariance[0, :, 0, 0], 0)
-        axis = refine_axis(fit.middle[0], weight, fit.position[0])
+        axis = refine_axis(fit.middle[0], weight, fit.position[0], orders(fit))
+    _check_corner(profiles, int(half_width))
     profiles = replace(profiles, variance=profiles.variance * excess)
     for _ in range(REFINEMENTS):
         fit = refine_profiles(profiles, estimator, fit, smooth_parameters(fit)[None], skew)
@@ -175,6 +185,18 @@ def _mark_ends(fit: ProfileFit) -> ProfileFit:
     clear = width + END_MARGIN
     is_end = (fit.position < first + clear) | (fit.position > last - clear)
     return mark_profiles(fit, ProfileFlag.END, is_end)
+
+
+def _check_corner(profiles: Profiles, reach: int) -> None:
+    """Raise `StreakError` where the path turns a corner, as at a bounce: no canal surface there."""
+    normal, origin = profiles.normal[0], profiles.origin[0]
+    turn = (normal[: -2 * reach] * normal[2 * reach :]).sum(-1)
+    if len(turn) and float(turn.min()) < math.cos(CORNER):
+        x, y = origin[int(turn.argmin()) + reach].tolist()
+        raise StreakError(
+            f"the path turns a corner near ({x:.0f}, {y:.0f}) px, as at a bounce, where its contours "
+            "do not tell where the ball was; expose so that the bounce lies outside the exposure"
+        )
 
 
 def _check_numbers(

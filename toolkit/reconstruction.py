@@ -10,6 +10,7 @@ from toolkit.alpha import AlphaEstimator
 from toolkit.axis_curve import DEPTH_SIZES, AxisCurve, AxisFit, Edges, fit_axis, start_curve
 from toolkit.camera import Camera
 from toolkit.canal import couple_points, interpretation_normals, place_cross_sections, straight_axis
+from toolkit.contours import length_in_widths
 from toolkit.ends import Ends, OpacityMap, locate_ends, rough_ends
 from toolkit.errors import StreakError
 from toolkit.motion import (
@@ -22,7 +23,7 @@ from toolkit.motion import (
     make_clock,
 )
 from toolkit.view import StreakView
-from toolkit.splines import SIZES, fit_spline
+from toolkit.splines import SIZES, fit_spline, up_to
 from toolkit.types import Contours, CrossSections, ProfileFit
 
 CLOCK_MARGIN = 4.0
@@ -75,7 +76,7 @@ def reconstruct_axis(
     focal = (camera.fx + camera.fy) / 2
     centre_weight = good * focal**2 / fit.covariance[0, :, 0, 0]
     centres = camera.undistort(fit.middle[0])
-    widths = _length_in_widths(fit)
+    widths = length_in_widths(fit)
     start = start_curve(
         centres, s, centre_weight, depth.expand_as(s), good, up_to(3 + widths, SIZES)
     )
@@ -108,7 +109,7 @@ def follow_motion(
 ) -> Reconstruction:
     """Find how fast the ball passed along its path, and where it was when the exposure began and ended."""
     opacity = opacity_data(fit, along_axis(fit, camera), camera)
-    pace_sizes = up_to(1 + _length_in_widths(fit) / 1.5, RATE_SIZES)
+    pace_sizes = up_to(1 + length_in_widths(fit) / 1.5, RATE_SIZES)
     pace = fit_pace(axis.curve, opacity, ball_radius, pace_sizes)
     half_width = float(fit.half_width[fit.good].median())
     s, position = opacity.s.numpy(), fit.position[0].numpy()
@@ -145,18 +146,6 @@ def opacity_data(fit: ProfileFit, s: Tensor, camera: Camera) -> OpacityData:
         covariance=fit.covariance[0],
         weight=fit.good[0].to(torch.float64),
     )
-
-
-def up_to(limit: float, sizes: tuple[int, ...]) -> tuple[int, ...]:
-    """Numbers of coefficients that a streak is long enough for: features shorter than the ball cannot be seen."""
-    return tuple(size for size in sizes if size <= limit) or sizes[:1]
-
-
-def _length_in_widths(fit: ProfileFit) -> float:
-    """Length of the contours between the ball's first and last image, in widths of the streak."""
-    good = fit.good[0]
-    position = fit.position[0][good]
-    return float((position.max() - position.min()) / (2 * fit.half_width[0][good].median()))
 
 
 def _edges(fit: ProfileFit, s: Tensor) -> Edges:

@@ -93,8 +93,8 @@ class SplineFit:
 SIZES = (2, 3, 4, 5, 6, 8, 10, 13, 17)
 """Numbers of coefficients tried: line, parabola, cubic, then splines with more and more knots."""
 PER_COEFFICIENT = 2.0
-"""Gain in chi-square a coefficient must bring (Akaike); leaving the simplest curve must bring log N more
-(Bayes): what is straight or constant stays so, what bends is not cut short."""
+"""Gain in chi-square a coefficient must bring (Akaike); leaving the simplest curve must bring 2 log N
+more: what is straight or constant stays so, what bends is not cut short."""
 OUTLIER = 4.5
 """Tukey's biweight reaches zero here, robust standard deviations: 95 % efficient on clean data."""
 
@@ -133,11 +133,16 @@ def fit_smooth(
         misfit = ((basis(x) @ coefficients - values) ** 2 * robust[:, None]).sum() / scale**2
         complexity = PER_COEFFICIENT * order
         if order > min(possible):
-            complexity += math.log(count)
+            complexity += 2 * math.log(count)
         penalty = values.shape[1] * complexity
         fits.append((float(misfit + penalty), basis, coefficients, inverse))
     _, basis, coefficients, inverse = min(fits, key=lambda fit: fit[0])
     return SplineFit(basis=basis, coefficients=coefficients, inverse=inverse, weight=robust)
+
+
+def up_to(limit: float, sizes: tuple[int, ...]) -> tuple[int, ...]:
+    """Give the numbers of coefficients not above a limit, at least the smallest."""
+    return tuple(size for size in sizes if size <= limit) or sizes[:1]
 
 
 def _standardised(

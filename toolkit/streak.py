@@ -31,8 +31,6 @@ MIN_AREA = 60
 """px of the reduced picture."""
 CANDIDATES = 6
 AXIS_POINTS = 64
-AXIS_SIZES = (2, 3, 4, 5, 6, 8)
-"""Coefficients tried for the axis through fitted profile centres."""
 MIN_ELONGATION = 1.5
 """Length of a candidate over its width; rounder ones are not streaks."""
 ROI = tuple[int, int, int, int]
@@ -95,18 +93,21 @@ def find_streak(
     )
 
 
-def refine_axis(middle: Tensor, weight: Tensor, position: Tensor) -> Tensor:
+def refine_axis(
+    middle: Tensor, weight: Tensor, position: Tensor, sizes: tuple[int, ...]
+) -> Tensor:
     """Give a smoother axis through fitted profile centres, continued straight to where the old one ended.
 
     Args:
         middle: fitted centre points [P, 2] px.
         weight: 1 / variance of the centres, 0 for profiles to ignore [P].
         position: arc length of the origins [P] px.
+        sizes: numbers of coefficients to choose from.
 
     Returns:
         Axis points [1, N, 2] px.
     """
-    curve = fit_smooth(position, middle, weight, AXIS_SIZES)
+    curve = fit_smooth(position, middle, weight, sizes)
     inner = position.clamp(curve.basis.start, curve.basis.stop)
     points = curve(inner) + (position - inner)[:, None] * curve(inner, 1)
     keep = torch.linspace(0, len(points) - 1, AXIS_POINTS).round().long()
