@@ -65,7 +65,8 @@ def brightness_drift(
         level, difference = _channel_samples(image, background, channel, ignore)
         bright = level > level.median()
         share = (difference[bright] / level[bright].clamp_min(1e-3)).median()
-        ratios.append((1 + share / 2) / (1 - share / 2))
+        own = 1 / (1 + background.frames)  # of the shot in the level
+        ratios.append((1 + (1 - own) * share) / (1 - own * share))
     return torch.stack(ratios)
 
 
@@ -91,8 +92,10 @@ def _channel_samples(
     shot, ground = shot[::step, ::step], ground[::step, ::step]
     usable = ~clipped[::step, ::step]
     shot, ground = shot[usable].double(), ground[usable].double()
-    # grouping by the background alone would select by its noise: differences of one sign
-    return (shot + ground) / 2, shot - ground
+    # the mean weighed by precision is the one level whose noise is independent of the difference's:
+    # grouped by any other, a group would be selected for differences of one sign
+    level = (shot + background.frames * ground) / (1 + background.frames)
+    return level, shot - ground
 
 
 def _lattice(pattern: tuple[tuple[int, ...], ...], channel: int) -> tuple[int, int, int, int]:
