@@ -40,7 +40,8 @@ def test_alpha_of_known_mixtures(ground):
     assert torch.allclose(found, alpha, atol=1e-5)
 
 
-def test_observe_hands_colours_on_and_adds_both_noises(ground):
+def test_observe_hands_colours_on_and_adds_both_noises():
+    ground = torch.tensor([0.2, 0.3, 0.4])[:, None, None].expand(1, 3, 6, 11)
     shot = mixture(torch.full((1, 1, 6, 11), 0.3), ground)
     observation = Uniform(colour=BALL).observe(image(shot), image(ground, frames=4), NOISE)
     assert torch.equal(observation.signal, shot)
@@ -49,6 +50,18 @@ def test_observe_hands_colours_on_and_adds_both_noises(ground):
     assert torch.allclose(observation.variance, expected)
     red = 1e-4 + 1e-3 * shot[0, 0] + (1e-4 + 1e-3 * ground[0, 0]) / 4
     assert torch.allclose(observation.variance[0, 0], red)
+
+
+def test_behind_a_mosaic_only_measured_channels_count(ground):
+    shot = replace(image(ground), mosaic=ground[:, :1], pattern=((0, 1), (1, 2)))
+    variance = Uniform(colour=BALL).observe(shot, image(ground), NOISE).variance
+    known = torch.isfinite(variance[0])
+    assert (known.sum(0) == 1).all()
+    assert known[0, 0, 0]
+    assert known[1, 0, 1]
+    assert known[2, 1, 1]
+    # what is measured there counts as a raw sample
+    assert float(variance[0, 1, 0, 1]) == pytest.approx(2 * 4e-4, rel=1e-5)
 
 
 def test_the_variance_of_alpha_is_seen_when_repeating():
