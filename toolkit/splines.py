@@ -93,8 +93,8 @@ class SplineFit:
 SIZES = (2, 3, 4, 5, 6, 8, 10, 13, 17)
 """Numbers of coefficients tried: line, parabola, cubic, then splines with more and more knots."""
 PER_COEFFICIENT = 2.0
-"""Gain in chi-square a coefficient must bring (Akaike); leaving the simplest curve must bring 2 log N
-more: what is straight or constant stays so, what bends is not cut short."""
+"""Gain in chi-square a coefficient must bring (Akaike); leaving the simplest curve must bring
+2 log N more: what is straight or constant stays so, what bends is not cut short."""
 OUTLIER = 4.5
 """Tukey's biweight reaches zero here, robust standard deviations: 95 % efficient on clean data."""
 

@@ -51,7 +51,7 @@ class LinearImage:
     frames: int = 1  # how many pictures were combined into this one (noise is smaller by that)
 
     def measured(self) -> Tensor | None:
-        """Which channels the sensor measured at each pixel [1, 3, H, W] bool; None when all were."""
+        """Say which channels were measured at each pixel [1, 3, H, W] bool; None when all were."""
         if self.mosaic is None or self.pattern is None:
             return None
         period = torch.tensor(self.pattern)
@@ -133,7 +133,10 @@ class Streak:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Profiles:
-    """Pixels about the streak, sorted into lines across it; B picture, P profile, S place in it, Q signal channel."""
+    """Pixels about the streak, sorted into lines across it.
+
+    B picture, P profile, S place in it, Q signal channel.
+    """
 
     origin: Tensor  # [B, P, 2] px, on the axis
     normal: Tensor  # [B, P, 2] unit, to the right of the motion along the axis
