@@ -14,6 +14,10 @@ Problem = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 """From parameters [A, K] of the elements with indices [A] to whitened residuals [A, M] and their
 Jacobian [A, M, K]."""
 
+Equations = Callable[[Tensor, Tensor], tuple[Tensor, Tensor, Tensor]]
+"""From parameters [A, K] of the elements with indices [A] to their cost [A], gradient J'r [A, K] and
+information J'J [A, K, K]."""
+
 FIRST_DAMPING = 1e-3
 TINY = 1e-300
 
@@ -60,11 +64,35 @@ def minimise(
     Returns:
         Solution; `converged` is False for elements that ran out of iterations.
     """
+
+    def equations(x: Tensor, elements: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        return _normal_equations(problem, x, elements, huber)
+
+    return minimise_equations(
+        equations,
+        start,
+        lower=lower,
+        upper=upper,
+        max_iterations=max_iterations,
+        tolerance=tolerance,
+    )
+
+
+def minimise_equations(
+    equations: Equations,
+    start: Tensor,
+    *,
+    lower: Tensor | None = None,
+    upper: Tensor | None = None,
+    max_iterations: int = 30,
+    tolerance: float = 1e-6,
+) -> Solution:
+    """Do the same for a problem that gives its normal equations itself, without its Jacobian."""
     x = start.clone()
     active = torch.arange(len(x), device=x.device)
     lower = _expanded(lower, -torch.inf, x)
     upper = _expanded(upper, torch.inf, x)
-    cost, gradient, information = _normal_equations(problem, x, active, huber)
+    cost, gradient, information = equations(x, active)
     damping = torch.full_like(cost, FIRST_DAMPING)
     iteration = 0
     while iteration < max_iterations and len(active):
@@ -74,16 +102,16 @@ def minimise(
         system = old_information + torch.diag_embed(damping[active, None] * diagonal)
         candidate = old + _solve(system, -gradient[active])
         candidate = torch.minimum(torch.maximum(candidate, lower[active]), upper[active])
-        trial_cost, trial_gradient, trial_information = _normal_equations(
-            problem, candidate, active, huber
-        )
+        trial_cost, trial_gradient, trial_information = equations(candidate, active)
         is_better = trial_cost <= cost[active]  # False for NaN
         improved = active[is_better]
         x[improved] = candidate[is_better]
         cost[improved] = trial_cost[is_better]
         gradient[improved] = trial_gradient[is_better]
         information[improved] = trial_information[is_better]
-        damping[active] = (damping[active] * torch.where(is_better, 0.1, 10.0)).clamp(1e-9, 1e9)
+        damping[active] = torch.where(
+            is_better, damping[active] * 0.1, (damping[active] * 10).clamp_min(1.0)
+        ).clamp(1e-9, 1e9)
         # a tiny step ends the search even when rejected: then only rounding stands in the way
         is_small = ((candidate - old).abs() <= tolerance * diagonal.rsqrt()).all(-1)
         active = active[~is_small]

@@ -125,9 +125,7 @@ def fit_streak(view: StreakView, estimator: AlphaEstimator) -> ProfileFit:
         reach = PROFILE_REACH * float(half_width) + 4
         profiles = gather_profiles(view.observation, view.clipped, axis, reach, corner=view.corner)
         bend = axis_bend(profiles) * half_width[:, None] / 2
-        fit, skew, excess = _fit_as_seen(
-            profiles, estimator, half_width, bend, excess, blur_rounds
-        )
+        fit, skew, excess = _fit_as_seen(profiles, estimator, half_width, bend, excess, blur_rounds)
         half_width = _median_half_width(fit)[None]
         weight = torch.where(fit.good[0], 1 / fit.covariance[0, :, 0, 0], 0)
         axis = refine_axis(fit.middle[0], weight, fit.position[0], orders(fit))

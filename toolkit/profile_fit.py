@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator, Chord
-from toolkit.least_squares import Problem, Solution, invert_information, minimise
+from toolkit.least_squares import Equations, Solution, invert_information, minimise_equations
 from toolkit.semi_ellipse import semi_ellipse_and_J, start_from_moments
 from toolkit.types import ProfileFit, ProfileFlag, Profiles
 
@@ -45,7 +45,7 @@ def fit_profiles(
     *,
     half_width: Tensor | None = None,
     skew: Skew | None = None,
-    tolerance: float = 0.02,
+    tolerance: float = 0.05,
     blur_rounds: int = BLUR_ROUNDS,
 ) -> ProfileFit:
     """Fit centre, half width and opacity of every profile by batched Gauss-Newton.
@@ -73,17 +73,18 @@ def fit_profiles(
     blur = torch.full((len(profiles.position),), START_BLUR, dtype=torch.float64)
     iterations = 0
     for _ in range(blur_rounds):
-        solution = minimise(
-            model.own_problem(blur),
+        solution = minimise_equations(
+            model.own_equations(blur),
             x,
             lower=torch.tensor([-reach, 0.5, 0.0, -1.0], dtype=torch.float64),
             upper=torch.tensor([reach, reach, 1.5, 1.0], dtype=torch.float64),
-            huber=OUTLIER_SAMPLE,
             tolerance=tolerance,
             max_iterations=MAX_ITERATIONS,
         )
         x = solution.parameters
         iterations += solution.iterations
+        if blur_rounds == 1:
+            break
         better_blur = _improve_blur(model, x, blur, solution.converged)
         if bool(((better_blur - blur).abs() < BLUR_SETTLED).all()):
             break
@@ -119,7 +120,7 @@ def refine_profiles(
     # a step that needs no search takes those along whose search did not settle
     is_open = (fit.flags & ~int(ProfileFlag.NOT_CONVERGED)) == 0
     blur = _improve_blur(model, x, fit.blur, is_open.flatten())
-    there = minimise(model.own_problem(blur), x, huber=OUTLIER_SAMPLE, max_iterations=0)
+    there = minimise_equations(model.own_equations(blur), x, max_iterations=0)
     step = (there.covariance @ there.gradient[..., None])[..., 0]
     moved = replace(
         there,
@@ -144,10 +145,11 @@ class _Model:
 
     estimator: AlphaEstimator
     offset: Tensor  # [E, S]
-    observed: Tensor  # [E, S, Q] signal minus ground
-    ground: Tensor  # [E, S, Q]
-    J_ground: Tensor  # [E, S, Q] the ground as the Jacobian sees it
-    whitening: Tensor  # [E, S, Q] 1 / standard deviation, 0 for what is not to be used
+    observed: Tensor  # [E, Q, S] signal minus ground, in standard deviations
+    ground: Tensor  # [E, Q, S]
+    J_ground: Tensor  # [E, Q, S] the ground as the Jacobian sees it
+    whitening: Tensor  # [E, Q, S] 1 / standard deviation, 0 for what is not to be used
+    contrasts: tuple[Tensor, Tensor] | None  # [E, Q, S], where one colour serves every offset
     direction: Tensor  # [E, 1] rad
     skew_mean: Tensor  # [E]
     skew_std: float
@@ -158,57 +160,99 @@ class _Model:
     ) -> "_Model":
         mean = torch.zeros_like(profiles.position) if skew is None else skew.mean
         whitening = profiles.valid[..., None] / profiles.variance.clamp_min(1e-14).sqrt()
+        weight, ground, observed = (
+            values.flatten(0, 1).mT.contiguous()
+            for values in (
+                whitening,
+                profiles.ground,
+                (profiles.signal - profiles.ground) * whitening,
+            )
+        )
+        is_plain = J_ground is profiles.ground
+        J_ground = ground if is_plain else J_ground.flatten(0, 1).mT.contiguous()
+        offset, direction = profiles.offset.flatten(0, 1), profiles.direction.flatten()[:, None]
+        foreground, slope = estimator.foreground_and_slope(
+            Chord(offset=torch.zeros_like(offset), direction=direction)
+        )
+        foreground = foreground.mT
+        contrast = (foreground - ground) * weight
+        is_same = J_ground is ground
+        J_contrast = contrast if is_same else (foreground - J_ground) * weight
+        if slope is None and int((weight > 0).sum(1).max()) <= 1:
+            # behind a mosaic each pixel measured one channel: the others are all zeros
+            contrast, observed = contrast.sum(1, keepdim=True), observed.sum(1, keepdim=True)
+            J_contrast = contrast if is_same else J_contrast.sum(1, keepdim=True)
+        constant = (contrast, J_contrast)
         return cls(
             estimator=estimator,
-            offset=profiles.offset.flatten(0, 1),
-            observed=(profiles.signal - profiles.ground).flatten(0, 1),
-            ground=profiles.ground.flatten(0, 1),
-            J_ground=J_ground.flatten(0, 1),
-            whitening=whitening.flatten(0, 1),
-            direction=profiles.direction.flatten()[:, None],
+            offset=offset,
+            observed=observed,
+            ground=ground,
+            J_ground=J_ground,
+            whitening=weight,
+            contrasts=constant if slope is None else None,
+            direction=direction,
             skew_mean=mean.flatten(),
             skew_std=KNOWN_SKEW if skew is None else skew.std,
         )
 
-    def own_problem(self, blur: Tensor) -> Problem:
-        """The least-squares problem of every profile's own parameters, at the blur [B]."""
+    def own_equations(self, blur: Tensor) -> Equations:
+        """The normal equations of every profile's own parameters, at the blur [B]."""
 
-        def problem(x: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
-            residual, J = self.residual(x, rows, blur)
-            return residual, J[..., :OWN]
+        def equations(x: Tensor, rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+            cost, gradient, information = self.equations(x, rows, blur)
+            return cost, gradient[:, :OWN], information[:, :OWN, :OWN]
 
-        return problem
+        return equations
 
-    def residual(self, x: Tensor, rows: Tensor, blur: Tensor) -> tuple[Tensor, Tensor]:
-        """Whitened residuals [A, S * Q + 1] of profiles `rows` [A] at x [A, 4].
+    def equations(self, x: Tensor, rows: Tensor, blur: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Robust cost [A], gradient [A, 5] and information [A, 5, 5] in (centre, half width, opacity, skew, blur).
 
-        Returns:
-            The residuals, the last one being the skew's, and their Jacobian in (centre, half
-            width, opacity, skew, blur) [A, S * Q + 1, 5].
+        The channels of a pixel share the derivative of its alpha, so that they are summed first and the Jacobian of every
+        single number is never formed.
         """
+        # indexing copies: while every profile is still searched for, a slice does
+        rows = slice(None) if len(rows) == len(self.offset) else rows
         own_blur = blur.repeat_interleave(len(self.offset) // len(blur))[rows][:, None]
         centre, half_width, opacity, skew = x[:, None, :].unbind(-1)
-        offset, weight = self.offset[rows], self.whitening[rows]
+        offset = self.offset[rows]
         alpha, J_alpha = semi_ellipse_and_J(offset, centre, half_width, opacity, skew, own_blur)
+        J_alpha = J_alpha.mT
         share = (offset - centre) / half_width
+        contrast, J_contrast, slope = self._contrast(share, rows)
+        residual = alpha[:, None] * contrast - self.observed[rows]
+        weight = OUTLIER_SAMPLE / residual.abs().clamp_min(OUTLIER_SAMPLE)
+        weighted = weight * residual
+        cost = (weighted * residual * (2 - weight)).sum((-1, -2))
+        weighted_J = weight * J_contrast
+        gradient = (J_alpha @ (weighted * J_contrast).sum(1)[..., None])[..., 0]
+        information = (J_alpha * (weighted_J * J_contrast).sum(1)[:, None]) @ J_alpha.mT
+        if slope is not None:
+            pull = alpha[:, None] * slope
+            J_share = torch.zeros_like(J_alpha)
+            J_share[:, 0], J_share[:, 1] = -1 / half_width, -share / half_width
+            gradient = gradient + (J_share @ (weighted * pull).sum(1)[..., None])[..., 0]
+            cross = (J_alpha * (weighted_J * pull).sum(1)[:, None]) @ J_share.mT
+            own = (J_share * (weight * pull * pull).sum(1)[:, None]) @ J_share.mT
+            information = information + cross + cross.mT + own
+        surprise = (x[:, 3] - self.skew_mean[rows]) / self.skew_std
+        gradient[:, 3] += surprise / self.skew_std
+        information[:, 3, 3] += 1 / self.skew_std**2
+        return cost + surprise**2, gradient, information
+
+    def _contrast(self, share: Tensor, rows: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
+        """Ball minus ground, the same for the Jacobian, and its slope along the share, [A, Q, S]."""
+        if self.contrasts is not None:
+            contrast, J_contrast = self.contrasts
+            taken = contrast[rows]
+            return taken, taken if J_contrast is contrast else J_contrast[rows], None
         foreground, slope = self.estimator.foreground_and_slope(
             Chord(offset=share.clamp(-1, 1), direction=self.direction[rows])
         )
-        residual = (
-            alpha[..., None] * (foreground - self.ground[rows]) - self.observed[rows]
-        ) * weight
-        J = ((foreground - self.J_ground[rows]) * weight)[..., None] * J_alpha[..., None, :]
-        if slope is not None:
-            J_share = torch.stack([(-1 / half_width).expand_as(share), -share / half_width], dim=-1)
-            pull = (alpha[..., None] * slope * weight)[..., None] * J_share[..., None, :]
-            J = torch.cat([J[..., :2] + pull, J[..., 2:]], dim=-1)
-        surprise = (x[:, 3:] - self.skew_mean[rows][:, None]) / self.skew_std
-        J_surprise = torch.zeros(len(x), 1, OWN + 1, dtype=x.dtype)
-        J_surprise[:, 0, 3] = 1 / self.skew_std
-        return (
-            torch.cat([residual.flatten(1), surprise], dim=1),
-            torch.cat([J.flatten(1, 2), J_surprise], dim=1),
-        )
+        foreground, weight = foreground.mT, self.whitening[rows]
+        contrast = (foreground - self.ground[rows]) * weight
+        J_contrast = (foreground - self.J_ground[rows]) * weight
+        return contrast, J_contrast, None if slope is None else slope.mT * weight
 
 
 def _first_guess(
@@ -238,17 +282,16 @@ def _first_guess(
 
 def _improve_blur(model: _Model, x: Tensor, blur: Tensor, used: Tensor) -> Tensor:
     """Take one Gauss-Newton step in the blur [B], every profile's own parameters projected out."""
-    residual, J = model.residual(x, torch.arange(len(x)), blur)
-    weight = (OUTLIER_SAMPLE / residual.abs().clamp_min(OUTLIER_SAMPLE)).sqrt()
-    residual, J = residual * weight, J * weight[..., None]
-    own, shared = J[..., :OWN], J[..., OWN]
-    inverse = invert_information(own.mT @ own)
+    _, gradient, information = model.equations(x, torch.arange(len(x)), blur)
+    inverse = invert_information(information[:, :OWN, :OWN])
     usable = torch.isfinite(inverse).all(-1).all(-1) & used
     inverse = torch.where(usable[:, None, None], inverse, 0)
-    mixed = (own.mT @ shared[..., None])[..., 0]
-    projected = shared - (own @ (inverse @ mixed[..., None]))[..., 0]
-    slope = torch.where(usable, (projected * residual).sum(-1), 0).reshape(len(blur), -1).sum(-1)
-    curvature = torch.where(usable, (projected * shared).sum(-1), 0).reshape(len(blur), -1).sum(-1)
+    mixed = information[:, :OWN, OWN]
+    gain = (inverse @ mixed[..., None])[..., 0]
+    slopes = gradient[:, OWN] - (gain * gradient[:, :OWN]).sum(-1)
+    curvatures = information[:, OWN, OWN] - (gain * mixed).sum(-1)
+    slope = torch.where(usable, slopes, 0).reshape(len(blur), -1).sum(-1)
+    curvature = torch.where(usable, curvatures, 0).reshape(len(blur), -1).sum(-1)
     step = (-slope / curvature.clamp_min(1e-12)).clamp(-0.5, 0.5)
     return (blur + step).clamp(*BLUR_RANGE)
 

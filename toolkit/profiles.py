@@ -47,7 +47,9 @@ def gather_profiles(
     height, width = observation.signal.shape[-2:]
     rows, columns = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
     pixels = torch.stack([columns, rows], dim=-1).reshape(-1, 2) + torch.tensor(corner)
-    slots = [_assign(pixels.to(axis.dtype), origin[b], normal[b], reach) for b in range(len(axis))]
+    slots = [
+        _assign(pixels.to(axis.dtype), width, origin[b], normal[b], reach) for b in range(len(axis))
+    ]
     count = max(slot.pixel.shape[1] for slot in slots)
     index = torch.stack([_pad(slot.pixel, count) for slot in slots])
     is_filled = index >= 0
@@ -121,10 +123,11 @@ class _Slots:
     offset: Tensor  # [P, S] px
 
 
-def _assign(pixels: Tensor, origin: Tensor, normal: Tensor, reach: float) -> _Slots:
+def _assign(pixels: Tensor, width: int, origin: Tensor, normal: Tensor, reach: float) -> _Slots:
     """Give every pixel [N, 2] within reach of the axis to the profile it lies nearest to."""
     tangent = torch.stack([normal[:, 1], -normal[:, 0]], dim=-1)
-    profile = COARSE * torch.cdist(pixels, origin[::COARSE]).argmin(1)
+    near, profile = _rough_neighbours(pixels, width, origin, reach)
+    pixels = pixels[near]
     spacing = float(torch.linalg.vector_norm(origin.diff(dim=0), dim=-1).mean().clamp_min(1e-9))
     for _ in range(3):
         along = ((pixels - origin[profile]) * tangent[profile]).sum(-1)
@@ -132,7 +135,10 @@ def _assign(pixels: Tensor, origin: Tensor, normal: Tensor, reach: float) -> _Sl
     away = pixels - origin[profile]
     offset = (away * normal[profile]).sum(-1)
     along = (away * tangent[profile]).sum(-1)
-    chosen = ((offset.abs() <= reach) & (along.abs() <= spacing)).nonzero()[:, 0]
+    # what lies beyond the first or the last profile belongs to none
+    is_outer = (profile == 0) | (profile == len(origin) - 1)
+    room = torch.where(is_outer, spacing / 2, spacing)
+    chosen = ((offset.abs() <= reach) & (along.abs() <= room)).nonzero()[:, 0]
     profile, offset = profile[chosen], offset[chosen]
     order = (profile * 4 * (reach + 1) + offset).argsort()
     profile, offset, chosen = profile[order], offset[order], chosen[order]
@@ -140,10 +146,28 @@ def _assign(pixels: Tensor, origin: Tensor, normal: Tensor, reach: float) -> _Sl
     place = torch.arange(len(profile)) - (sizes.cumsum(0) - sizes)[profile]
     shape = (len(origin), max(int(sizes.max()), 1))
     pixel_table = torch.full(shape, -1, dtype=torch.int64)
-    pixel_table[profile, place] = chosen
+    pixel_table[profile, place] = near[chosen]
     offset_table = torch.zeros(shape, dtype=offset.dtype)
     offset_table[profile, place] = offset
     return _Slots(pixel=pixel_table, offset=offset_table)
+
+
+def _rough_neighbours(
+    pixels: Tensor, width: int, origin: Tensor, reach: float
+) -> tuple[Tensor, Tensor]:
+    """Index the pixels [N, 2] of a picture `width` wide that may lie within reach of the axis, and a profile near each.
+
+    Whole blocks of pixels are looked at, since their distances to all profiles take the longest.
+    """
+    grid = pixels.reshape(-1, width, 2)
+    blocks = grid[::COARSE, ::COARSE] + (COARSE - 1) / 2
+    distance, nearest = torch.cdist(blocks.reshape(-1, 2), origin[::COARSE]).min(1)
+    # a block's corner is 0.7 blocks from its middle, a place on the axis half a block from an origin
+    nearest[distance > reach + 1.3 * COARSE] = -1
+    fine = nearest.reshape(blocks.shape[:2]).repeat_interleave(COARSE, 0)
+    fine = fine.repeat_interleave(COARSE, 1)[: len(grid), :width].flatten()
+    near = (fine >= 0).nonzero()[:, 0]
+    return near, COARSE * fine[near]
 
 
 def _pad(table: Tensor, count: int) -> Tensor:

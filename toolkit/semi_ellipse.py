@@ -71,7 +71,7 @@ def semi_ellipse_and_J(
     J_blur = J_half_window * (WINDOW_PER_BLUR / 2)
     J_skew = scale * half_width * lean
     columns = (J_centre, J_half_width, alpha_per_opacity, J_skew, J_blur)
-    return alpha, torch.stack([column.expand_as(alpha) for column in columns], dim=-1)
+    return alpha, torch.stack([column.expand_as(alpha) for column in columns], dim=-2).mT
 
 
 def start_from_moments(

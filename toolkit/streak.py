@@ -93,9 +93,7 @@ def find_streak(
     )
 
 
-def refine_axis(
-    middle: Tensor, weight: Tensor, position: Tensor, sizes: tuple[int, ...]
-) -> Tensor:
+def refine_axis(middle: Tensor, weight: Tensor, position: Tensor, sizes: tuple[int, ...]) -> Tensor:
     """Give a smoother axis through fitted profile centres, continued straight to where the old one ended.
 
     Args:
