@@ -24,6 +24,8 @@ from toolkit.splines import PER_COEFFICIENT, SIZES, SplineBasis, fit_smooth, fit
 GRAZE_STEPS = 4
 """Gauss-Newton steps to the point of the axis nearest to a ray; each gains two digits or more."""
 MAX_STEPS = 40
+IMAGE_CONTINUATION, DEPTH_CONTINUATION = 2, 1
+"""Degrees with which path and inverse depth go on beyond the contours, over the streak's ends."""
 DEPTH_SIZES = (2, 3, 4, 5, 6, 8)
 """Coefficients tried for the inverse depth."""
 
@@ -128,11 +130,13 @@ def start_curve(
         sizes: numbers of coefficients to choose from for the image of the curve.
     """
     middle = fit_smooth(s, centres, weight, sizes)
-    basis = middle.basis
+    basis = replace(middle.basis, continuation=IMAGE_CONTINUATION)
     greville = _greville(basis)
     slope = middle(greville, 1)
     across = torch.stack([-slope[:, 1], slope[:, 0]], dim=-1)
-    depth_basis = SplineBasis(start=basis.start, stop=basis.stop, size=2)
+    depth_basis = SplineBasis(
+        start=basis.start, stop=basis.stop, size=2, continuation=DEPTH_CONTINUATION
+    )
     inverse_depth, _ = fit_spline(depth_basis, s, 1 / depth[:, None], depth_weight)
     return AxisCurve(
         image_basis=basis,

@@ -87,7 +87,7 @@ def place_cross_sections(
     gap = torch.linalg.vector_norm(rays[:, 0] - rays[:, 1], dim=-1, keepdim=True)
     distance = ball_radius * spread / gap
     centre = distance[..., None] * rays - ball_radius * normals
-    direction = torch.linalg.cross(normals[:, 1], normals[:, 0])
+    direction = torch.linalg.cross(normals[:, 0], normals[:, 1])
     return CrossSections(
         centre=centre.mean(1),
         direction=direction / torch.linalg.vector_norm(direction, dim=-1, keepdim=True),

@@ -31,8 +31,12 @@ from toolkit.streak import ROI, refine_axis
 from toolkit.types import LinearImage, ProfileFit, ProfileFlag, Profiles
 from toolkit.uncertainty import covariances
 
-PROFILE_REACH = 1.5
+PROFILE_REACH = 1.35
 """Half widths that a profile extends to either side, and 4 px more."""
+FIRST_LOOK = 8
+"""Profiles to a half width that the first pass looks at, about."""
+START_TOLERANCE = 0.2
+"""Of the search in standard deviations: the refinement that follows needs no better start."""
 REFINEMENTS = 2
 """Rounds in which profiles are fitted about the smooth course of all of them."""
 MISFIT = 2.0
@@ -123,7 +127,10 @@ def fit_streak(view: StreakView, estimator: AlphaEstimator) -> ProfileFit:
     axis, half_width, excess = view.streak.axis, view.streak.half_width, 1.0
     for blur_rounds in (1, BLUR_ROUNDS):
         reach = PROFILE_REACH * float(half_width) + 4
-        profiles = gather_profiles(view.observation, view.clipped, axis, reach, corner=view.corner)
+        every = max(1, int(float(half_width) / FIRST_LOOK)) if blur_rounds == 1 else 1
+        profiles = gather_profiles(
+            view.observation, view.clipped, axis, reach, corner=view.corner, every=every
+        )
         bend = axis_bend(profiles) * half_width[:, None] / 2
         fit, skew, excess = _fit_as_seen(profiles, estimator, half_width, bend, excess, blur_rounds)
         half_width = _median_half_width(fit)[None]
@@ -154,7 +161,12 @@ def _fit_as_seen(
         skew = Skew(mean=bend, std=KNOWN_SKEW if excess == 1 else SHADING)
         widened = replace(profiles, variance=profiles.variance * excess)
         fit = fit_profiles(
-            widened, estimator, half_width=half_width, skew=skew, blur_rounds=blur_rounds
+            widened,
+            estimator,
+            half_width=half_width,
+            skew=skew,
+            tolerance=START_TOLERANCE,
+            blur_rounds=blur_rounds,
         )
         fit = _mark_ends(fit)
         misfit = excess * _median_chi2(fit)

@@ -11,11 +11,12 @@ import torch
 from torch import Tensor
 
 from toolkit.alpha import Observation
+from toolkit.box_filter import box_mean
 from toolkit.shapes import check_shape
 from toolkit.types import Profiles
 
 BEND_REACH = 10
-"""Profiles to either side over which the axis' bend is taken."""
+"""px to either side over which the axis' bend is taken."""
 COARSE = 8
 """Profiles between those among which a pixel's nearest is first looked for."""
 
@@ -27,6 +28,7 @@ def gather_profiles(
     reach: float,
     *,
     corner: tuple[int, int] = (0, 0),
+    every: int = 1,
 ) -> Profiles:
     """Gather the pixels about an axis into profiles perpendicular to it, one profile every px.
 
@@ -38,6 +40,7 @@ def gather_profiles(
         axis: points along the streak in the order of the motion assumed [B, N, 2] px of the whole picture.
         reach: how far profiles extend to either side, px.
         corner: where the window's top-left pixel lies in the whole picture, (x, y).
+        every: keep one profile of so many; what is only a first look needs no more.
 
     Raises:
         ShapeError: when B disagrees.
@@ -51,15 +54,15 @@ def gather_profiles(
         _assign(pixels.to(axis.dtype), width, origin[b], normal[b], reach) for b in range(len(axis))
     ]
     count = max(slot.pixel.shape[1] for slot in slots)
-    index = torch.stack([_pad(slot.pixel, count) for slot in slots])
+    index = torch.stack([_pad(slot.pixel[::every], count) for slot in slots])
     is_filled = index >= 0
     safe = index.clamp_min(0)
-    offset = torch.stack([_pad(slot.offset, count) for slot in slots])
+    offset = torch.stack([_pad(slot.offset[::every], count) for slot in slots])
     untouched = ~_take(clipped, safe)[..., 0].bool()
     return Profiles(
-        origin=origin,
-        normal=normal,
-        position=position,
+        origin=origin[:, ::every],
+        normal=normal[:, ::every],
+        position=position[:, ::every],
         offset=torch.where(is_filled, offset, 0),
         signal=_take(observation.signal, safe),
         ground=_take(observation.ground, safe),
@@ -104,14 +107,14 @@ def place_profiles(axis: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 def axis_bend(profiles: Profiles) -> Tensor:
     """Give the curvature of the axis at each profile [B, P], 1 / px, positive where it bends right."""
     normal = profiles.normal
-    reach = min(BEND_REACH, (normal.shape[1] - 1) // 2)
+    spacing = profiles.position[:, 1:2] - profiles.position[:, :1]
+    reach = max(1, min(round(BEND_REACH / float(spacing.max())), (normal.shape[1] - 1) // 2))
     padded = torch.nn.functional.pad(normal.mT, (reach, reach), mode="replicate").mT
     turned = padded[:, 2 * reach :] - padded[:, : len(padded[0]) - 2 * reach]
     tangent = torch.stack([normal[..., 1], -normal[..., 0]], dim=-1)
     places = torch.arange(normal.shape[1])
     last = normal.shape[1] - 1
     span = (places + reach).clamp(max=last) - (places - reach).clamp(min=0)
-    spacing = profiles.position[:, -1:] / last
     return -(turned * tangent).sum(-1) / (span * spacing)
 
 
@@ -182,11 +185,5 @@ def _take(picture: Tensor, index: Tensor) -> Tensor:
 
 
 def _ring_smoothed(picture: Tensor) -> Tensor:
-    """Average over 7 x 7 pixels but for the inner 3 x 3, into which demosaicing spreads the middle's noise."""
-
-    def total(size: int) -> Tensor:
-        half = size // 2
-        padded = torch.nn.functional.pad(picture, (half,) * 4, mode="replicate")
-        return torch.nn.functional.avg_pool2d(padded, size, stride=1) * size**2
-
-    return (total(7) - total(3)) / 40
+    """Average over 7 x 7 pixels without the inner 3 x 3, where demosaicing spreads own noise."""
+    return (49 * box_mean(picture, 7) - 9 * box_mean(picture, 3)) / 40

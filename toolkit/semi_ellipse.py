@@ -5,8 +5,9 @@ chord there, so that alpha(y) = k sqrt(1 - ((y - c) / r)^2) inside the streak an
 Source: Caglioti & Giusti 2007, eq. (2). Deviations: the two cases, exchanged in the paper's text,
 stand the right way round; the slope is infinite at the edge, so the curve is averaged in closed
 form over a window (pixel area and lens together), whose standard deviation is the `blur`; and a
-path that bends covers the points on the inner side for longer, which to first order multiplies
-the semi-ellipse by 1 + skew (y - c) / r with skew = r / (2 bending radius). [derived]
+path that bends covers the points on the inner side for longer, which multiplies the semi-ellipse
+by 1 + skew s + skew^2 (3/2 s^2 + (1 - s^2) / 6), with s = (y - c) / r and skew = r / (2 bending
+radius): the arc 2 rho theta on a circle of radius rho, to second order in r / rho. [derived]
 """
 
 import math
@@ -33,7 +34,7 @@ def semi_ellipse(
         centre: c, px.
         half_width: r, px, positive.
         opacity: k, alpha at the centre of an unsmoothed profile.
-        skew: relative rise of the opacity from the centre to the right edge.
+        skew: relative rise of the opacity from the centre to the right edge, to first order.
         blur: standard deviation of the averaging window, px, positive.
 
     Returns:
@@ -58,9 +59,11 @@ def semi_ellipse_and_J(
     height_lower = (1 - lower * lower).sqrt()
     area_upper, area_lower = _area(upper, height_upper), _area(lower, height_lower)
     lean = (height_lower**3 - height_upper**3) / 3  # integral of s sqrt(1 - s^2)
-    area = area_upper - area_lower + skew * lean
-    rise_upper = height_upper * (1 + skew * upper)
-    rise_lower = height_lower * (1 + skew * lower)
+    squares = (area_upper - area_lower) / 4 - (upper * height_upper**3 - lower * height_lower**3) / 4
+    bow = 4 / 3 * squares + (area_upper - area_lower) / 6  # of (3/2 s^2 + (1 - s^2) / 6) times it
+    area = area_upper - area_lower + skew * lean + skew * skew * bow
+    rise_upper = height_upper * (1 + skew * upper + skew * skew * (8 * upper * upper + 1) / 6)
+    rise_lower = height_lower * (1 + skew * lower + skew * skew * (8 * lower * lower + 1) / 6)
     per_window = 1 / (2 * half_window)
     alpha_per_opacity = half_width * area * per_window
     alpha = opacity * alpha_per_opacity
@@ -69,7 +72,7 @@ def semi_ellipse_and_J(
     J_half_width = scale * (area - (upper * rise_upper - lower * rise_lower))
     J_half_window = scale * (rise_upper + rise_lower) - alpha / half_window
     J_blur = J_half_window * (WINDOW_PER_BLUR / 2)
-    J_skew = scale * half_width * lean
+    J_skew = scale * half_width * (lean + 2 * skew * bow)
     columns = (J_centre, J_half_width, alpha_per_opacity, J_skew, J_blur)
     return alpha, torch.stack([column.expand_as(alpha) for column in columns], dim=-2).mT
 

@@ -6,6 +6,7 @@ One family serves every order the data may ask for: a line has 2 coefficients, a
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import torch
 from torch import Tensor
@@ -13,11 +14,15 @@ from torch import Tensor
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SplineBasis:
-    """Clamped B-spline basis on [start, stop]; outside, the end pieces go on as polynomials."""
+    """Clamped B-spline basis on [start, stop]; outside, the ends go on as polynomials.
+
+    `continuation` bounds the degree of those: a cubic end piece, followed beyond its data, runs away.
+    """
 
     start: float
     stop: float
     size: int  # K, number of coefficients
+    continuation: int = 3
 
     @property
     def degree(self) -> int:
@@ -29,8 +34,39 @@ class SplineBasis:
         pieces = self.size - self.degree
         length = (self.stop - self.start) / pieces
         local = (x - self.start) / length
-        piece = local.floor().clamp(0, pieces - 1)
-        return _de_boor(local, piece.long(), self.degree, pieces, derivative) / length**derivative
+        # row 0 continues the start, rows 1 to `pieces` are the pieces, the last continues the end
+        row = torch.where(local > pieces, pieces, local.floor()).clamp(-1, pieces) + 1
+        powers = _powers(local - (row - 1).clamp_min(0), self.degree, derivative)
+        table = _taylor_table(self.degree, pieces, min(self.continuation, self.degree)).to(x)
+        basis = (powers[..., None, :] @ table[row.long()])[..., 0, :]
+        return basis / length**derivative
+
+
+def _powers(u: Tensor, degree: int, derivative: int) -> Tensor:
+    """Derivatives of 1, u, u^2, ... up to u^degree, [..., degree + 1]."""
+    columns = [
+        math.perm(power, derivative) * u ** (power - derivative)
+        if power >= derivative
+        else torch.zeros_like(u)
+        for power in range(degree + 1)
+    ]
+    return torch.stack(columns, dim=-1)
+
+
+@lru_cache(maxsize=64)
+def _taylor_table(degree: int, pieces: int, continuation: int) -> Tensor:
+    """Taylor coefficients of the basis about the start of each piece, [pieces + 2, degree + 1, K]."""
+    starts = torch.arange(pieces + 1, dtype=torch.float64)
+    piece = starts.long().clamp(max=pieces - 1)
+    rows = [
+        _de_boor(starts, piece, degree, pieces, power) / math.factorial(power)
+        for power in range(degree + 1)
+    ]
+    table = torch.stack(rows, dim=1)
+    table = torch.cat([table[:1], table])
+    for outer in (0, -1):
+        table[outer, continuation + 1 :] = 0
+    return table
 
 
 def _de_boor(x: Tensor, piece: Tensor, degree: int, pieces: int, derivative: int) -> Tensor:

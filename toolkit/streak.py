@@ -116,8 +116,15 @@ def _reduced(image: LinearImage, factor: int) -> LinearImage:
     """Average blocks of factor x factor px; an incomplete last block is cut off."""
     if factor == 1:
         return image
-    rgb = torch.nn.functional.avg_pool2d(image.rgb, factor)
-    clipped = torch.nn.functional.max_pool2d(image.clipped.to(torch.float32), factor) > 0
+    width, height = image.width // factor, image.height // factor
+    area = (..., slice(height * factor), slice(width * factor))
+    planes = [
+        cv2.resize(plane, (width, height), interpolation=cv2.INTER_AREA)
+        for plane in image.rgb[area][0].numpy()
+    ]
+    rgb = torch.from_numpy(np.stack(planes))[None]
+    blocks = image.clipped[area].reshape(1, 1, height, factor, width, factor)
+    clipped = blocks.any(-1).any(-2)
     return replace(image, rgb=rgb, clipped=clipped, mosaic=None, pattern=None)
 
 

@@ -14,6 +14,8 @@ from enum import IntFlag
 import torch
 from torch import Tensor
 
+from toolkit.box_filter import box_mean
+
 
 class ProfileFlag(IntFlag):
     """Why a single profile is not used; 0 means it is good."""
@@ -112,11 +114,8 @@ class NoiseModel:
             measured: channels the sensor measured at each pixel [1, 3, H, W] bool; elsewhere the
                 variance is infinite, and the rest counts as raw samples.
         """
-        smooth = torch.nn.functional.avg_pool2d(
-            level, 5, stride=1, padding=2, count_include_pad=False
-        )
-        raw = self.read_variance[..., None, None] + self.gain[..., None, None] * smooth.clamp_min(0)
-        raw = raw.to(level.dtype)
+        read, gain = (v[..., None, None].to(level.dtype) for v in (self.read_variance, self.gain))
+        raw = read + gain * box_mean(level, 5).clamp_min(0)
         if measured is not None:
             return torch.where(measured, raw, torch.inf)
         return raw / self.density[:, None, None].to(level.dtype)

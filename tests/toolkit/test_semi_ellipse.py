@@ -28,11 +28,12 @@ def as_tensors(*values):
 
 
 def averaged_by_hand(offset, centre, half_width, opacity, skew, blur, samples=20_001):
-    """The paper's semi-ellipse, leaning by the skew, its mean over the window taken numerically."""
+    """The paper's semi-ellipse, bent by the skew, its mean over the window taken numerically."""
     window = WINDOW_PER_BLUR * blur
     at = offset + window * ((np.arange(samples) + 0.5) / samples - 0.5)
     share = np.clip((at - centre) / half_width, -1, 1)
-    return opacity * (np.sqrt(1 - share**2) * (1 + skew * share)).mean()
+    bend = 1 + skew * share + skew**2 * (1.5 * share**2 + (1 - share**2) / 6)
+    return opacity * (np.sqrt(1 - share**2) * bend).mean()
 
 
 @pytest.mark.parametrize("case", CASES)
