@@ -1,6 +1,7 @@
-"""Measure a ball from one motion-blurred picture: position, direction, speed and path, each with its uncertainty.
+"""Measure a ball from one motion-blurred picture: position, direction, speed and path.
 
-The public names are listed here and loaded when first used, so that `import toolkit` stays light.
+Each comes with its uncertainty. The public names are listed here and loaded when first used, so
+that `import toolkit` stays light.
 """
 
 from importlib import import_module
