@@ -1,4 +1,4 @@
-"""Smooth contours from the edges of many profiles, each of which errs by itself but not on the whole."""
+"""Smooth contours from the edges of many profiles, which err one by one but not on the whole."""
 
 from dataclasses import replace
 
@@ -22,8 +22,9 @@ def mark_profiles(fit: ProfileFit, flag: ProfileFlag, chosen: Tensor) -> Profile
 def smooth_contours(fit: ProfileFit, picture: int = 0) -> tuple[Contours, ProfileFit]:
     """Fit a line, a parabola or a spline to each side's edge points, whichever the data ask for.
 
-    Source: Caglioti & Giusti 2007, section 5, "Fitting". Deviation: the order is chosen by an information criterion, and single
-    profiles that disagree with their neighbours lose their weight and are flagged OUTLIER.
+    Source: Caglioti & Giusti 2007, section 5, "Fitting". Deviation: the order is chosen by an
+    information criterion, and single profiles that disagree with their neighbours lose their weight
+    and are flagged OUTLIER.
 
     Args:
         fit: the profiles; flagged ones are ignored.
@@ -91,15 +92,15 @@ def length_in_widths(fit: ProfileFit, picture: int = 0) -> float:
 
 
 def orders(fit: ProfileFit, picture: int = 0) -> tuple[int, ...]:
-    """Numbers of coefficients to try along the streak: what is finer than the ball cannot be seen."""
+    """Give the numbers of coefficients to try: what is finer than the ball cannot be seen."""
     return up_to(3 + length_in_widths(fit, picture), SIZES)
 
 
 def widen_for_correlation(fit: ProfileFit, picture: int = 0) -> ProfileFit:
-    """Widen the covariances where neighbouring profiles err together, as compressed pictures make them.
+    """Widen the covariances where neighbouring profiles err together, as in compressed pictures.
 
-    What many correlated profiles tell together has the variance of independent ones times 1 + 2 sum of the
-    correlations at all distances. [derived]
+    What many correlated profiles tell together has the variance of independent ones times
+    1 + 2 sum of the correlations at all distances. [derived]
     """
     good = fit.good[picture]
     about = smooth_parameters(fit, picture)[good]
@@ -134,21 +135,27 @@ def check_enough(good: Tensor, flags: Tensor) -> None:
     counts = {flag: int(((flags & int(flag)) > 0).sum()) for flag in ProfileFlag if flag}
     worst = max(counts, key=lambda flag: counts[flag])
     reasons = {
-        ProfileFlag.END: "the streak is too short for profiles clear of the ball's first and last image (at least two "
-        "widths are needed); expose longer",
-        ProfileFlag.CLIPPED: "it meets saturated pixels or the picture's border; expose less or aim again",
-        ProfileFlag.LOW_CONTRAST: "its opacity hardly exceeds the noise; check the ball colour, or expose less long",
-        ProfileFlag.NOT_CONVERGED: "its profiles are no semi-ellipses; check background and ball colour",
-        ProfileFlag.AT_BOUND: "its profiles have no plausible width or opacity; check background and ball colour",
-        ProfileFlag.OUTLIER: "its profiles contradict each other; check that the background fits the shot",
+        ProfileFlag.END: "the streak is too short for profiles clear of the ball's first and last "
+        "image (at least two widths are needed); expose longer",
+        ProfileFlag.CLIPPED: "it meets saturated pixels or the picture's border; "
+        "expose less or aim again",
+        ProfileFlag.LOW_CONTRAST: "its opacity hardly exceeds the noise; "
+        "check the ball colour, or expose less long",
+        ProfileFlag.NOT_CONVERGED: "its profiles are no semi-ellipses; "
+        "check background and ball colour",
+        ProfileFlag.AT_BOUND: "its profiles have no plausible width or opacity; "
+        "check background and ball colour",
+        ProfileFlag.OUTLIER: "its profiles contradict each other; "
+        "check that the background fits the shot",
     }
     raise StreakError(
-        f"only {int(good.sum())} of {len(good)} profiles are usable, {MIN_PROFILES} are needed: {reasons[worst]}"
+        f"only {int(good.sum())} of {len(good)} profiles are usable, "
+        f"{MIN_PROFILES} are needed: {reasons[worst]}"
     )
 
 
 def _side(fit: ProfileFit, picture: int, side: int) -> SplineFit:
-    """Smooth edge points of one side, -1 left or 1 right, [P, 2] px against the position along the axis."""
+    """Smooth the edge points of one side, -1 left or 1 right, along the axis."""
     covariance = fit.covariance[picture]
     variance = covariance[:, 0, 0] + covariance[:, 1, 1] + 2 * side * covariance[:, 0, 1]
     weight = torch.where(fit.good[picture], 1 / variance.clamp_min(1e-8), 0)
@@ -157,4 +164,5 @@ def _side(fit: ProfileFit, picture: int, side: int) -> SplineFit:
 
 
 def _unit(vectors: Tensor) -> Tensor:
-    return vectors / torch.linalg.vector_norm(vectors, dim=-1, keepdim=True)
+    length: Tensor = torch.linalg.vector_norm(vectors, dim=-1, keepdim=True)
+    return vectors / length
