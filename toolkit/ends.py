@@ -1,8 +1,10 @@
 """Where the streak begins and ends: the ball's place when the exposure started and when it stopped.
 
-No lateral contour can tell the place along the path; the ends can. They blend into the background, but their shape is known: a ray
-is covered from the moment the ball's leading rim reaches it, or from the start of the exposure where it was covered already.
-Source: MATHS, "The exact streak of a moving ball", the clipped interval. [derived] The paper leaves the ends out.
+No lateral contour can tell the place along the path; the ends can. They blend into the background,
+but their shape is known: a ray is covered from the moment the ball's leading rim reaches it, or
+from the start of the exposure where it was covered already.
+Source: MATHS, "The exact streak of a moving ball", the clipped interval. [derived] The paper leaves
+the ends out.
 """
 
 from collections.abc import Callable
@@ -19,7 +21,7 @@ from toolkit.types import ProfileFit
 CAP_REACH = 1.6
 """Half widths about an end within which pixels tell where it lies."""
 MAX_PIXELS = 12_000
-"""About an end; where there are more every second or third serves, and the end is found well enough."""
+"""About an end; where there are more, every second or third serves well enough."""
 STEPS = 25
 SETTLED = 1e-3
 """px."""
@@ -142,7 +144,8 @@ def covering_interval(
     Two Newton steps on |A(s) x u| = R refine the closed form for a straight stretch.
 
     Returns:
-        Where the ball reaches the ray and where it leaves it [N] px, and whether it covers it at all [N] bool.
+        Where the ball reaches the ray and where it leaves it [N] px, and whether it covers it at
+        all [N] bool.
     """
     nearest = nearest_parameter(curve, s.expand(rays.shape[:-1]), rays)
     gap, slope = _moment(curve, nearest, rays)
