@@ -1,4 +1,7 @@
-"""Reading and writing the project's own small files: capped before parsing, checked, written whole or not at all."""
+"""Reading and writing the project's own small files.
+
+They are capped before parsing, checked, and written whole or not at all.
+"""
 
 import hashlib
 import os
@@ -55,18 +58,15 @@ def check_keys(
         wanted = allowed[key]
         kinds = wanted if isinstance(wanted, tuple) else (wanted,)
         is_number = float in kinds and isinstance(value, int)
-        if (
-            isinstance(value, bool)
-            and bool not in kinds
-            or not (isinstance(value, kinds) or is_number)
-        ):
+        is_stray_bool = isinstance(value, bool) and bool not in kinds
+        if is_stray_bool or not (isinstance(value, kinds) or is_number):
             names = " or ".join(kind.__name__ for kind in kinds)
             raise ConfigError(f"{where}: '{key}' is {value!r}; a {names} is needed")
 
 
 @contextmanager
 def write_whole(path: Path) -> Iterator[Path]:
-    """Give a temporary path beside `path`; rename it onto `path` when the block ends well, remove it otherwise.
+    """Give a temporary path beside `path`, renamed onto it when the block ends well, else removed.
 
     The temporary name keeps the suffix, so that writers that choose the format by it still work.
 
