@@ -15,8 +15,8 @@ Problem = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 Jacobian [A, M, K]."""
 
 Equations = Callable[[Tensor, Tensor], tuple[Tensor, Tensor, Tensor]]
-"""From parameters [A, K] of the elements with indices [A] to their cost [A], gradient J'r [A, K] and
-information J'J [A, K, K]."""
+"""From parameters [A, K] of the elements with indices [A] to their cost [A], gradient J'r [A, K]
+and information J'J [A, K, K]."""
 
 FIRST_DAMPING = 1e-3
 TINY = 1e-300
