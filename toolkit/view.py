@@ -1,4 +1,4 @@
-"""The part of shot and background that matters: the streak's surroundings, in the same light, with their noise."""
+"""The streak's surroundings in shot and background, in the same light, with their noise."""
 
 from dataclasses import dataclass
 
@@ -36,9 +36,10 @@ def observe_streak(
     estimator: AlphaEstimator,
     roi: ROI | None = None,
 ) -> StreakView:
-    """Find the streak, match the background's light to the shot's, and observe the window about the streak.
+    """Find the streak, match the background's light to the shot's, and observe the surroundings.
 
-    Noise and light are looked at twice: roughly to find the streak, then without the pixels it covers.
+    Noise and light are looked at twice: roughly to find the streak, then without the pixels it
+    covers.
 
     Raises:
         StreakError: when there is no streak, or it leaves the picture.
@@ -79,15 +80,15 @@ def _grown(mask: Tensor, reach: float) -> Tensor:
 
 
 def _check_inside(streak: Streak, image: LinearImage) -> None:
-    """Raise `StreakError` when a tip reaches the picture's border: that end of the motion is unknown."""
+    """Raise `StreakError` when a tip reaches the picture's border, where an end is not seen."""
     tips = streak.axis[0, [0, -1]]
     size = torch.tensor([image.width - 1, image.height - 1], dtype=tips.dtype)
     room = torch.minimum(tips, size - tips).amin(-1)
     if bool((room < 2).any()):
         x, y = tips[int(room.argmin())].tolist()
         raise StreakError(
-            f"the streak leaves the picture near ({x:.0f}, {y:.0f}) px, so that its end is not seen; "
-            "aim so that the whole streak is inside, or expose less long"
+            f"the streak leaves the picture near ({x:.0f}, {y:.0f}) px, so that its end is "
+            "not seen; aim so that the whole streak is inside, or expose less long"
         )
 
 
