@@ -1,8 +1,9 @@
 """Profiles across the streak, made of the picture's own pixels.
 
-The paper samples shot and background along lines. Here every pixel joins the profile it lies nearest to, at its exact offset from the axis:
-nothing is interpolated, so that noise stays independent and as large as it is, each pixel is used once, and behind a colour
-mosaic each counts for the one channel that was measured there.
+The paper samples shot and background along lines. Here every pixel joins the profile it lies
+nearest to, at its exact offset from the axis: nothing is interpolated, so that noise stays
+independent and as large as it is, each pixel is used once, and behind a colour mosaic each counts
+for the one channel that was measured there.
 """
 
 from dataclasses import dataclass
@@ -32,12 +33,14 @@ def gather_profiles(
 ) -> Profiles:
     """Gather the pixels about an axis into profiles perpendicular to it, one profile every px.
 
-    Source: Caglioti & Giusti 2007, section 3.2. Deviation: pixels are taken where they are instead of samples being interpolated.
+    Source: Caglioti & Giusti 2007, section 3.2. Deviation: pixels are taken where they are instead
+    of samples being interpolated.
 
     Args:
         observation: signal, ground and variance on a window of the picture [B, Q, H, W].
         clipped: pixels not to be trusted [B, 1, H, W] bool.
-        axis: points along the streak in the order of the motion assumed [B, N, 2] px of the whole picture.
+        axis: points along the streak in the order of the motion assumed [B, N, 2] px of the whole
+            picture.
         reach: how far profiles extend to either side, px.
         corner: where the window's top-left pixel lies in the whole picture, (x, y).
         every: keep one profile of so many; what is only a first look needs no more.
@@ -80,7 +83,8 @@ def place_profiles(axis: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         axis: [B, N, 2] px.
 
     Returns:
-        Origins [B, P, 2], unit normals to the right of the motion [B, P, 2] and arc lengths [B, P], px.
+        Origins [B, P, 2], unit normals to the right of the motion [B, P, 2] and arc lengths [B, P],
+        px.
     """
     steps = torch.linalg.vector_norm(axis.diff(dim=1), dim=-1)
     length = torch.cat([torch.zeros_like(steps[:, :1]), steps.cumsum(1)], dim=1)
@@ -99,13 +103,13 @@ def place_profiles(axis: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     tangent = torch.gradient(axis, dim=1)[0]
     tangent = (1 - local) * at(tangent, before) + local * at(tangent, after)
     tangent = tangent / torch.linalg.vector_norm(tangent, dim=-1, keepdim=True).clamp_min(1e-9)
-    # y points down, so turning (x, y) into (-y, x) points to the right of the motion as seen in the picture
+    # y points down, so that (-y, x) points to the right of a motion (x, y) as seen in the picture
     normal = torch.stack([-tangent[..., 1], tangent[..., 0]], dim=-1)
     return origin, normal, position
 
 
 def axis_bend(profiles: Profiles) -> Tensor:
-    """Give the curvature of the axis at each profile [B, P], 1 / px, positive where it bends right."""
+    """Give the curvature of the axis at each profile [B, P], 1 / px, positive to the right."""
     normal = profiles.normal
     spacing = profiles.position[:, 1:2] - profiles.position[:, :1]
     reach = max(1, min(round(BEND_REACH / float(spacing.max())), (normal.shape[1] - 1) // 2))
@@ -158,14 +162,15 @@ def _assign(pixels: Tensor, width: int, origin: Tensor, normal: Tensor, reach: f
 def _rough_neighbours(
     pixels: Tensor, width: int, origin: Tensor, reach: float
 ) -> tuple[Tensor, Tensor]:
-    """Index the pixels [N, 2] of a picture `width` wide that may lie within reach of the axis, and a profile near each.
+    """Index the pixels that may lie within reach of the axis, and a profile near each.
 
-    Whole blocks of pixels are looked at, since their distances to all profiles take the longest.
+    The pixels [N, 2] are those of a picture `width` wide, row by row. Whole blocks of them are
+    looked at, since their distances to all profiles take the longest.
     """
     grid = pixels.reshape(-1, width, 2)
     blocks = grid[::COARSE, ::COARSE] + (COARSE - 1) / 2
     distance, nearest = torch.cdist(blocks.reshape(-1, 2), origin[::COARSE]).min(1)
-    # a block's corner is 0.7 blocks from its middle, a place on the axis half a block from an origin
+    # a block's corner is 0.7 blocks from its middle, a place on the axis half one from an origin
     nearest[distance > reach + 1.3 * COARSE] = -1
     fine = nearest.reshape(blocks.shape[:2]).repeat_interleave(COARSE, 0)
     fine = fine.repeat_interleave(COARSE, 1)[: len(grid), :width].flatten()
