@@ -19,7 +19,7 @@ from torch import Tensor
 from toolkit.camera import Camera
 from toolkit.errors import ConfigError
 from toolkit.least_squares import Solution, minimise
-from toolkit.splines import PER_COEFFICIENT, SIZES, SplineBasis, fit_smooth, fit_spline
+from toolkit.splines import SIZES, SplineBasis, fit_smooth, fit_spline
 
 GRAZE_STEPS = 4
 """Gauss-Newton steps to the point of the axis nearest to a ray; each gains two digits or more."""
@@ -129,20 +129,32 @@ def start_curve(
         depth_weight: [P].
         sizes: numbers of coefficients to choose from for the image of the curve.
     """
-    middle = fit_smooth(s, centres, weight, sizes)
-    basis = replace(middle.basis, continuation=IMAGE_CONTINUATION)
-    greville = _greville(basis)
-    slope = middle(greville, 1)
-    across = torch.stack([-slope[:, 1], slope[:, 0]], dim=-1)
+    chosen = fit_smooth(s, centres, weight, sizes)
+    basis = replace(chosen.basis, continuation=IMAGE_CONTINUATION)
     depth_basis = SplineBasis(
         start=basis.start, stop=basis.stop, size=2, continuation=DEPTH_CONTINUATION
     )
     inverse_depth, _ = fit_spline(depth_basis, s, 1 / depth[:, None], depth_weight)
+    return start_curve_on(basis, centres, s, chosen.weight, depth_basis, inverse_depth[:, 0])
+
+
+def start_curve_on(
+    basis: SplineBasis,
+    centres: Tensor,
+    s: Tensor,
+    weight: Tensor,
+    depth_basis: SplineBasis,
+    inverse_depth: Tensor,
+) -> AxisCurve:
+    """Make a first curve on a given basis; the arguments are those of `start_curve`."""
+    image, _ = fit_spline(basis, s, centres, weight)
+    slope = basis(_greville(basis), 1) @ image
+    across = torch.stack([-slope[:, 1], slope[:, 0]], dim=-1)
     return AxisCurve(
         image_basis=basis,
         depth_basis=depth_basis,
-        image=middle.coefficients,
-        inverse_depth=inverse_depth[:, 0],
+        image=image,
+        inverse_depth=inverse_depth,
         across=across / torch.linalg.vector_norm(across, dim=-1, keepdim=True),
     )
 
@@ -166,19 +178,18 @@ def fit_axis(
         steps: most Gauss-Newton steps for each.
 
     Returns:
-        AxisFit of the smallest information criterion, as in `fit_smooth`.
+        AxisFit of the smallest Bayesian information criterion.
     """
     rays = camera.unproject(edges.pixels)
     swing = camera.J_unproject(edges.pixels) @ edges.normal[:, None, :, None]
-    is_straight = len(start.image) == 2
-    leaving = 2 * math.log(2 * float((edges.weight > 0).sum())) if is_straight else 0.0
+    per_coefficient = math.log(2 * float((edges.weight > 0).sum()))
     curve, best, lowest, since_best = start, None, math.inf, 0
     for size in sizes:
         fit = _fit_one(
             _with_depth_size(curve, size), edges, rays, swing[..., 0], ball_radius, steps
         )
         curve = fit.curve
-        criterion = fit.chi2 + PER_COEFFICIENT * size + (leaving if size > min(sizes) else 0.0)
+        criterion = fit.chi2 + per_coefficient * size
         if best is None or criterion < lowest:
             best, lowest, since_best = fit, criterion, 0
         else:

@@ -168,21 +168,19 @@ class _Model:
                 (profiles.signal - profiles.ground) * whitening,
             )
         )
-        is_plain = J_ground is profiles.ground
-        J_ground = ground if is_plain else J_ground.flatten(0, 1).mT.contiguous()
+        is_same = J_ground is profiles.ground
+        J_ground = ground if is_same else J_ground.flatten(0, 1).mT.contiguous()
         offset, direction = profiles.offset.flatten(0, 1), profiles.direction.flatten()[:, None]
         foreground, slope = estimator.foreground_and_slope(
             Chord(offset=torch.zeros_like(offset), direction=direction)
         )
         foreground = foreground.mT
         contrast = (foreground - ground) * weight
-        is_same = J_ground is ground
         J_contrast = contrast if is_same else (foreground - J_ground) * weight
         if slope is None and int((weight > 0).sum(1).max()) <= 1:
             # behind a mosaic each pixel measured one channel: the others are all zeros
             contrast, observed = contrast.sum(1, keepdim=True), observed.sum(1, keepdim=True)
             J_contrast = contrast if is_same else J_contrast.sum(1, keepdim=True)
-        constant = (contrast, J_contrast)
         return cls(
             estimator=estimator,
             offset=offset,
@@ -190,14 +188,14 @@ class _Model:
             ground=ground,
             J_ground=J_ground,
             whitening=weight,
-            contrasts=constant if slope is None else None,
+            contrasts=(contrast, J_contrast) if slope is None else None,
             direction=direction,
             skew_mean=mean.flatten(),
             skew_std=KNOWN_SKEW if skew is None else skew.std,
         )
 
     def own_equations(self, blur: Tensor) -> Equations:
-        """The normal equations of every profile's own parameters, at the blur [B]."""
+        """Give the normal equations of every profile's own parameters, at the blur [B]."""
 
         def equations(x: Tensor, rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
             cost, gradient, information = self.equations(x, rows, blur)
@@ -206,21 +204,22 @@ class _Model:
         return equations
 
     def equations(self, x: Tensor, rows: Tensor, blur: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Robust cost [A], gradient [A, 5] and information [A, 5, 5] in (centre, half width, opacity, skew, blur).
+        """Give the robust cost [A], gradient [A, 5] and information [A, 5, 5].
 
-        The channels of a pixel share the derivative of its alpha, so that they are summed first and the Jacobian of every
-        single number is never formed.
+        They are in (centre, half width, opacity, skew, blur). The channels of a pixel share the
+        derivative of its alpha, so that they are summed first and the Jacobian of every single
+        number is never formed.
         """
         # indexing copies: while every profile is still searched for, a slice does
-        rows = slice(None) if len(rows) == len(self.offset) else rows
-        own_blur = blur.repeat_interleave(len(self.offset) // len(blur))[rows][:, None]
+        chosen = slice(None) if len(rows) == len(self.offset) else rows
+        own_blur = blur.repeat_interleave(len(self.offset) // len(blur))[chosen][:, None]
         centre, half_width, opacity, skew = x[:, None, :].unbind(-1)
-        offset = self.offset[rows]
+        offset = self.offset[chosen]
         alpha, J_alpha = semi_ellipse_and_J(offset, centre, half_width, opacity, skew, own_blur)
         J_alpha = J_alpha.mT
         share = (offset - centre) / half_width
-        contrast, J_contrast, slope = self._contrast(share, rows)
-        residual = alpha[:, None] * contrast - self.observed[rows]
+        contrast, J_contrast, slope = self._contrast(share, chosen)
+        residual = alpha[:, None] * contrast - self.observed[chosen]
         weight = OUTLIER_SAMPLE / residual.abs().clamp_min(OUTLIER_SAMPLE)
         weighted = weight * residual
         cost = (weighted * residual * (2 - weight)).sum((-1, -2))
@@ -235,12 +234,14 @@ class _Model:
             cross = (J_alpha * (weighted_J * pull).sum(1)[:, None]) @ J_share.mT
             own = (J_share * (weight * pull * pull).sum(1)[:, None]) @ J_share.mT
             information = information + cross + cross.mT + own
-        surprise = (x[:, 3] - self.skew_mean[rows]) / self.skew_std
+        surprise = (x[:, 3] - self.skew_mean[chosen]) / self.skew_std
         gradient[:, 3] += surprise / self.skew_std
         information[:, 3, 3] += 1 / self.skew_std**2
         return cost + surprise**2, gradient, information
 
-    def _contrast(self, share: Tensor, rows: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
+    def _contrast(
+        self, share: Tensor, rows: Tensor | slice
+    ) -> tuple[Tensor, Tensor, Tensor | None]:
         """Ball minus ground, the same for the Jacobian, and its slope along the share, [A, Q, S]."""
         if self.contrasts is not None:
             contrast, J_contrast = self.contrasts
@@ -258,7 +259,7 @@ class _Model:
 def _first_guess(
     profiles: Profiles, estimator: AlphaEstimator, half_width: Tensor | None, skew: Tensor
 ) -> Tensor:
-    """Start from the moments of every pixel's own alpha, near the rough half width if there is one."""
+    """Start from the moments of the pixels' own alpha, near the rough half width where it is known."""
     middle = Chord(
         offset=torch.zeros_like(profiles.position)[..., None],
         direction=profiles.direction[..., None],

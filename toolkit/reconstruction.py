@@ -7,7 +7,15 @@ import torch
 from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator
-from toolkit.axis_curve import DEPTH_SIZES, AxisCurve, AxisFit, Edges, fit_axis, start_curve
+from toolkit.axis_curve import (
+    DEPTH_SIZES,
+    AxisCurve,
+    AxisFit,
+    Edges,
+    fit_axis,
+    start_curve,
+    start_curve_on,
+)
 from toolkit.camera import Camera
 from toolkit.canal import couple_points, interpretation_normals, place_cross_sections, straight_axis
 from toolkit.contours import length_in_widths
@@ -80,21 +88,25 @@ def reconstruct_axis(
     start = start_curve(
         centres, s, centre_weight, depth.expand_as(s), good, up_to(3 + widths, SIZES)
     )
-    # what bends in the picture bends in depth too, whether or not the data can tell
-    bending = DEPTH_SIZES if len(start.image) == 2 else DEPTH_SIZES[1:]
-    depth_sizes = up_to(2 + widths / 1.5, bending)
+    depth_sizes = up_to(2 + widths / 1.5, DEPTH_SIZES)
     axis = fit_axis(start, _edges(fit, s), camera, ball_radius, depth_sizes)
     _check_axis(axis, s[fit.good[0]], ball_radius)
     return axis
 
 
-def refit_axis(found: Reconstruction, camera: Camera, ball_radius: float) -> AxisCurve:
-    """Fit a curve of the same order through a camera that differs little: two steps suffice."""
+def refit_axis(
+    found: Reconstruction, camera: Camera, ball_radius: float, extra: int = 0
+) -> AxisCurve:
+    """Fit the curve again, through a camera that differs little or with `extra` coefficients.
+
+    Two steps suffice from so near.
+    """
     fit, curve, s = found.fit, found.axis.curve, found.opacity.s
     weight = fit.good[0] / fit.covariance[0, :, 0, 0]
-    image, _ = fit_spline(curve.image_basis, s, camera.undistort(fit.middle[0]), weight)
-    start = replace(curve, image=image)
-    size = len(curve.inverse_depth)
+    centres = camera.undistort(fit.middle[0])
+    basis = replace(curve.image_basis, size=curve.image_basis.size + extra)
+    start = start_curve_on(basis, centres, s, weight, curve.depth_basis, curve.inverse_depth)
+    size = len(curve.inverse_depth) + extra
     return fit_axis(start, _edges(fit, s), camera, ball_radius, sizes=(size,), steps=2).curve
 
 

@@ -135,7 +135,7 @@ def _shares(uncertainty: Uncertainty, place: int) -> Shares:
         return None if covariance is None or total <= 0 else float(covariance[place, place]) / total
 
     return Shares(
-        noise=share(uncertainty.noise),
+        noise=share(uncertainty.noise + uncertainty.order),
         camera=share(uncertainty.camera),
         radius=share(uncertainty.radius),
         exposure=share(uncertainty.exposure),

@@ -59,7 +59,9 @@ def semi_ellipse_and_J(
     height_lower = (1 - lower * lower).sqrt()
     area_upper, area_lower = _area(upper, height_upper), _area(lower, height_lower)
     lean = (height_lower**3 - height_upper**3) / 3  # integral of s sqrt(1 - s^2)
-    squares = (area_upper - area_lower) / 4 - (upper * height_upper**3 - lower * height_lower**3) / 4
+    squares = (area_upper - area_lower) / 4 - (
+        upper * height_upper**3 - lower * height_lower**3
+    ) / 4
     bow = 4 / 3 * squares + (area_upper - area_lower) / 6  # of (3/2 s^2 + (1 - s^2) / 6) times it
     area = area_upper - area_lower + skew * lean + skew * skew * bow
     rise_upper = height_upper * (1 + skew * upper + skew * skew * (8 * upper * upper + 1) / 6)

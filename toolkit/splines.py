@@ -128,9 +128,6 @@ class SplineFit:
 
 SIZES = (2, 3, 4, 5, 6, 8, 10, 13, 17)
 """Numbers of coefficients tried: line, parabola, cubic, then splines with more and more knots."""
-PER_COEFFICIENT = 2.0
-"""Gain in chi-square a coefficient must bring (Akaike); leaving the simplest curve must bring
-2 log N more: what is straight or constant stays so, what bends is not cut short."""
 OUTLIER = 4.5
 """Tukey's biweight reaches zero here, robust standard deviations: 95 % efficient on clean data."""
 
@@ -141,8 +138,7 @@ def fit_smooth(
     """Fit the curve whose order the data ask for, robustly against outliers.
 
     Outliers are found once, against the most flexible curve, so that all orders are compared on the
-    same data; the order is chosen by an information criterion, strict between the simplest curve
-    and all others, milder among those.
+    same data; the order is the one with the smallest Bayesian information criterion.
 
     Args:
         x: [N].
@@ -167,10 +163,7 @@ def fit_smooth(
         basis = SplineBasis(start=start, stop=stop, size=order)
         coefficients, inverse = fit_spline(basis, x, values, robust)
         misfit = ((basis(x) @ coefficients - values) ** 2 * robust[:, None]).sum() / scale**2
-        complexity = PER_COEFFICIENT * order
-        if order > min(possible):
-            complexity += 2 * math.log(count)
-        penalty = values.shape[1] * complexity
+        penalty = values.shape[1] * order * math.log(count)
         fits.append((float(misfit + penalty), basis, coefficients, inverse))
     _, basis, coefficients, inverse = min(fits, key=lambda fit: fit[0])
     return SplineFit(basis=basis, coefficients=coefficients, inverse=inverse, weight=robust)

@@ -1,4 +1,7 @@
-"""Finding the ball's trail without help: where the opacity is significant, has the ball's colour and the shape of a streak."""
+"""Finding the ball's trail without help.
+
+It is where the opacity is significant, has the ball's colour and the shape of a streak.
+"""
 
 import math
 from collections.abc import Iterator
@@ -19,14 +22,14 @@ Mask = NDArray[np.uint8]
 Map = NDArray[np.float32]
 
 MAX_SIDE = 800
-"""px; larger pictures are reduced to this for the search, which a whole streak does not need more than."""
+"""px; larger pictures are reduced to this for the search, which needs no more for a whole streak."""
 SMOOTHING = 1.5
 """px of the reduced picture."""
 MIN_SIGNIFICANCE = 5.0
 """Smoothed opacity over its standard deviation: one false pixel in a million."""
 MIN_OPACITY = 0.04
 MIN_LIKENESS = 0.2
-"""Share of a pixel's change that the ball's colour must explain: little, since light differs from place to place."""
+"""Share of a pixel's change that the ball's colour must explain: little, since the light varies."""
 MIN_AREA = 60
 """px of the reduced picture."""
 CANDIDATES = 6
@@ -42,7 +45,6 @@ class Candidate:
 
     mask: Mask  # [H, W] 0 or 1
     axis: NDArray[np.float64]  # [N, 2]
-    length: float
     half_width: float
     score: float
 
@@ -64,7 +66,8 @@ def find_streak(
         roi: left, top, width, height in px to search in; the whole picture when None.
 
     Returns:
-        Streak; the axis runs from tip to tip, to the right in the picture, or down where it is upright.
+        Streak; the axis runs from tip to tip, to the right in the picture, or down where it is
+        upright.
 
     Raises:
         StreakError: when nothing in the picture looks like the streak of such a ball.
@@ -94,7 +97,7 @@ def find_streak(
 
 
 def refine_axis(middle: Tensor, weight: Tensor, position: Tensor, sizes: tuple[int, ...]) -> Tensor:
-    """Give a smoother axis through fitted profile centres, continued straight to where the old one ended.
+    """Give a smoother axis through fitted profile centres, as long as the old one, straight beyond.
 
     Args:
         middle: fitted centre points [P, 2] px.
@@ -133,7 +136,7 @@ def _averaged(noise: NoiseModel, factor: int) -> NoiseModel:
 
 
 def _evidence(observation: Observation, estimator: AlphaEstimator) -> tuple[Map, Map, Map]:
-    """Opacity, its significance, and the share of the change that the ball's colour explains, each [H, W]."""
+    """Give opacity, its significance and the share of the change the ball's colour explains, [H, W]."""
     alpha, variance = estimator.alpha(observation)
     information = 1 / variance
     change = observation.signal - observation.ground
@@ -182,22 +185,24 @@ def _candidates(found: Mask, opacity: Map, likeness: Map) -> Iterator[Candidate]
         if length >= MIN_ELONGATION * 2 * half_width:
             evenness = _evenness(mask, axis, half_width)
             score = float((opacity * likeness)[mask > 0].sum()) * evenness
-            yield Candidate(mask=mask, axis=axis, length=length, half_width=half_width, score=score)
+            yield Candidate(mask=mask, axis=axis, half_width=half_width, score=score)
 
 
 def _fill_holes(mask: Mask) -> Mask:
     outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    return cv2.drawContours(np.zeros_like(mask), outlines, -1, 1, cv2.FILLED)
+    filled = np.zeros_like(mask)
+    cv2.drawContours(filled, outlines, -1, 1, cv2.FILLED)
+    return filled
 
 
 def _evenness(mask: Mask, axis: NDArray[np.float64], half_width: float) -> float:
-    """Share of the region that a band of constant width about the axis explains (intersection over union)."""
+    """Intersection over union of the region and a band of constant width about its axis."""
     band = np.zeros_like(mask)
     inner = axis[_between_caps(axis, half_width)]
     points = np.round(inner).astype(np.int32)[:, None]
     cv2.polylines(band, [points], isClosed=False, color=1, thickness=max(1, round(2 * half_width)))
-    union = np.count_nonzero(band | mask)
-    return float(np.count_nonzero(band & mask)) / max(union, 1)
+    union = int(np.count_nonzero(band | mask))
+    return int(np.count_nonzero(band & mask)) / max(union, 1)
 
 
 def _between_caps(axis: NDArray[np.float64], half_width: float) -> NDArray[np.bool_]:
@@ -208,8 +213,9 @@ def _between_caps(axis: NDArray[np.float64], half_width: float) -> NDArray[np.bo
 def trace_axis(mask: Mask) -> tuple[NDArray[np.float64], float]:
     """Trace the middle line of an elongated region, from tip to tip, and its half width.
 
-    Pixels are ordered by their distance from one tip measured inside the region; the middles of equal distances make the
-    line, which therefore follows any bend that does not cross itself. [derived]
+    Pixels are ordered by their distance from one tip measured inside the region; the middles of
+    equal distances make the line, which therefore follows any bend that does not cross itself.
+    [derived]
 
     Args:
         mask: [H, W], 1 inside the region.
@@ -251,7 +257,7 @@ def _farthest(window: Mask, seed: tuple[int, int]) -> tuple[int, int]:
 
 
 def _walk(window: Mask, seed: tuple[int, int]) -> NDArray[np.float32]:
-    """Steps from the seed to every pixel inside the region, in octagons, scaled to px; -1 where unreached."""
+    """Count the steps from the seed to every pixel of the region, about 1 px each; -1 elsewhere."""
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
     square = np.ones((3, 3), np.uint8)
     reached = np.zeros_like(window)
@@ -261,7 +267,9 @@ def _walk(window: Mask, seed: tuple[int, int]) -> NDArray[np.float32]:
     while True:
         step += 1
         # a cross after every two squares advances nearly equally far in every direction
-        grown = cv2.dilate(reached, cross if step % 3 == 0 else square) & window
+        grown = np.zeros_like(window)
+        cv2.dilate(reached, cross if step % 3 == 0 else square, dst=grown)
+        grown &= window
         new = grown != reached
         if not new.any():
             if step % 3:
@@ -282,10 +290,12 @@ def _why_nothing(found: Mask, significance: Map) -> str:
     if not found.any():
         seen = float(significance.max())
         return (
-            "no ball found: nothing in the picture differs from the background towards the ball's colour "
-            f"(best significance {seen:.1f}, {MIN_SIGNIFICANCE:g} needed); check shot, background and ball colour"
+            "no ball found: nothing in the picture differs from the background towards the ball's "
+            f"colour (best significance {seen:.1f}, {MIN_SIGNIFICANCE:g} needed); "
+            "check shot, background and ball colour"
         )
     return (
-        "no streak found: what differs from the background is too small or too round; the paper's method needs a streak at "
-        "least twice as long as wide, so expose longer, or point at it with a region"
+        "no streak found: what differs from the background is too small or too round; the paper's "
+        "method needs a streak at least twice as long as wide, so expose longer, or point at it "
+        "with a region"
     )

@@ -1,6 +1,6 @@
 """What the answer inherits from noise, camera, ball radius and exposure time, each kept apart."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -18,6 +18,9 @@ class Uncertainty:
     """Covariances of `Motion.state`, lengths in metres and displacements in metres per exposure."""
 
     noise: Tensor  # [K, K]
+    order: (
+        Tensor  # [K, K], what the next finer curve would change; zero for a straight, even motion
+    )
     camera: Tensor | None  # [K, K]; None when the camera file has no covariance
     radius: Tensor  # [K, K]
     exposure: Tensor  # [K, K], of the displacement per the exposure time stated
@@ -27,7 +30,7 @@ class Uncertainty:
     def total(self) -> Tensor:
         """Sum of all sources [K, K]."""
         camera = torch.zeros_like(self.noise) if self.camera is None else self.camera
-        return self.noise + camera + self.radius + self.exposure + self.brightness
+        return self.noise + self.order + camera + self.radius + self.exposure + self.brightness
 
 
 def covariances(
@@ -66,11 +69,28 @@ def covariances(
     by_brightness = state * speeds * contradiction
     return Uncertainty(
         noise=noise,
+        order=_order_covariance(found, camera, ball_radius),
         camera=_camera_covariance(found, camera, ball_radius),
         radius=torch.outer(by_radius, by_radius),
         exposure=torch.outer(by_exposure, by_exposure),
         brightness=torch.outer(by_brightness, by_brightness),
     )
+
+
+def _order_covariance(found: Reconstruction, camera: Camera, ball_radius: float) -> Tensor:
+    """Covariance of not knowing how far a bent path or an uneven pace goes on bending.
+
+    The order was chosen by the same data; what one more coefficient each would change is taken for one standard deviation. [derived]
+    """
+    state, curve = found.motion.state(), found.axis.curve
+    is_simple = len(curve.image) == 2 and len(curve.inverse_depth) == 2
+    if is_simple and found.pace.basis.size == 1:
+        return torch.zeros(len(state), len(state), dtype=state.dtype)
+    finer = refit_axis(found, camera, ball_radius, extra=1)
+    basis = replace(found.pace.basis, size=found.pace.basis.size + 1)
+    pace = repace(finer, found.opacity, replace(found.pace, basis=basis), ball_radius)
+    change = describe_motion(finer, pace, found.ends.s).state() - state
+    return torch.outer(change, change)
 
 
 def _camera_covariance(found: Reconstruction, camera: Camera, ball_radius: float) -> Tensor | None:
