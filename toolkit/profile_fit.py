@@ -215,7 +215,10 @@ class _Model:
         own_blur = blur.repeat_interleave(len(self.offset) // len(blur))[chosen][:, None]
         centre, half_width, opacity, skew = x[:, None, :].unbind(-1)
         offset = self.offset[chosen]
-        alpha, J_alpha = semi_ellipse_and_J(offset, centre, half_width, opacity, skew, own_blur)
+        bend = self.skew_mean[rows][:, None]
+        alpha, J_alpha = semi_ellipse_and_J(
+            offset, centre, half_width, opacity, skew, own_blur, bend
+        )
         J_alpha = J_alpha.mT
         share = (offset - centre) / half_width
         contrast, J_contrast, slope = self._contrast(share, chosen)
@@ -242,7 +245,7 @@ class _Model:
     def _contrast(
         self, share: Tensor, rows: Tensor | slice
     ) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Ball minus ground, the same for the Jacobian, and its slope along the share, [A, Q, S]."""
+        """Give ball minus ground, as J sees it too, and its slope along the share, [A, Q, S]."""
         if self.contrasts is not None:
             contrast, J_contrast = self.contrasts
             taken = contrast[rows]
@@ -259,7 +262,7 @@ class _Model:
 def _first_guess(
     profiles: Profiles, estimator: AlphaEstimator, half_width: Tensor | None, skew: Tensor
 ) -> Tensor:
-    """Start from the moments of the pixels' own alpha, near the rough half width where it is known."""
+    """Start from the moments of the pixels' own alpha, near the rough width if one is known."""
     middle = Chord(
         offset=torch.zeros_like(profiles.position)[..., None],
         direction=profiles.direction[..., None],

@@ -6,8 +6,9 @@ Source: Caglioti & Giusti 2007, eq. (2). Deviations: the two cases, exchanged in
 stand the right way round; the slope is infinite at the edge, so the curve is averaged in closed
 form over a window (pixel area and lens together), whose standard deviation is the `blur`; and a
 path that bends covers the points on the inner side for longer, which multiplies the semi-ellipse
-by 1 + skew s + skew^2 (3/2 s^2 + (1 - s^2) / 6), with s = (y - c) / r and skew = r / (2 bending
-radius): the arc 2 rho theta on a circle of radius rho, to second order in r / rho. [derived]
+by 1 + bend s + bend^2 (3/2 s^2 + (1 - s^2) / 6), with s = (y - c) / r and bend = r / (2 bending
+radius): the arc 2 rho theta on a circle of radius rho, to second order in r / rho. [derived] The
+linear term is a parameter of its own, `skew`, since shading of the ball leans the profile as well.
 """
 
 import math
@@ -26,6 +27,7 @@ def semi_ellipse(
     opacity: Tensor,
     skew: Tensor,
     blur: Tensor,
+    bend: Tensor | float = 0.0,
 ) -> Tensor:
     """Give the opacity at each offset across the streak.
 
@@ -36,11 +38,12 @@ def semi_ellipse(
         opacity: k, alpha at the centre of an unsmoothed profile.
         skew: relative rise of the opacity from the centre to the right edge, to first order.
         blur: standard deviation of the averaging window, px, positive.
+        bend: half width over twice the path's bending radius; only its square matters here.
 
     Returns:
         alpha, of the broadcast shape.
     """
-    return semi_ellipse_and_J(offset, centre, half_width, opacity, skew, blur)[0]
+    return semi_ellipse_and_J(offset, centre, half_width, opacity, skew, blur, bend)[0]
 
 
 def semi_ellipse_and_J(
@@ -50,8 +53,9 @@ def semi_ellipse_and_J(
     opacity: Tensor,
     skew: Tensor,
     blur: Tensor,
+    bend: Tensor | float = 0.0,
 ) -> tuple[Tensor, Tensor]:
-    """Give `semi_ellipse`, and its derivatives in all but the offset, in their order [..., 5]."""
+    """Give `semi_ellipse`, and its derivatives in (centre, ... blur), in their order [..., 5]."""
     half_window = blur * (WINDOW_PER_BLUR / 2)
     upper = ((offset + half_window - centre) / half_width).clamp(-1, 1)
     lower = ((offset - half_window - centre) / half_width).clamp(-1, 1)
@@ -63,9 +67,9 @@ def semi_ellipse_and_J(
         upper * height_upper**3 - lower * height_lower**3
     ) / 4
     bow = 4 / 3 * squares + (area_upper - area_lower) / 6  # of (3/2 s^2 + (1 - s^2) / 6) times it
-    area = area_upper - area_lower + skew * lean + skew * skew * bow
-    rise_upper = height_upper * (1 + skew * upper + skew * skew * (8 * upper * upper + 1) / 6)
-    rise_lower = height_lower * (1 + skew * lower + skew * skew * (8 * lower * lower + 1) / 6)
+    area = area_upper - area_lower + skew * lean + bend * bend * bow
+    rise_upper = height_upper * (1 + skew * upper + bend * bend * (8 * upper * upper + 1) / 6)
+    rise_lower = height_lower * (1 + skew * lower + bend * bend * (8 * lower * lower + 1) / 6)
     per_window = 1 / (2 * half_window)
     alpha_per_opacity = half_width * area * per_window
     alpha = opacity * alpha_per_opacity
@@ -74,7 +78,7 @@ def semi_ellipse_and_J(
     J_half_width = scale * (area - (upper * rise_upper - lower * rise_lower))
     J_half_window = scale * (rise_upper + rise_lower) - alpha / half_window
     J_blur = J_half_window * (WINDOW_PER_BLUR / 2)
-    J_skew = scale * half_width * (lean + 2 * skew * bow)
+    J_skew = scale * half_width * lean
     columns = (J_centre, J_half_width, alpha_per_opacity, J_skew, J_blur)
     return alpha, torch.stack([column.expand_as(alpha) for column in columns], dim=-2).mT
 

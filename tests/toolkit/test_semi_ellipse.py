@@ -27,13 +27,15 @@ def as_tensors(*values):
     return tuple(torch.tensor(value, dtype=torch.float64) for value in values)
 
 
-def averaged_by_hand(offset, centre, half_width, opacity, skew, blur, samples=20_001):
+def averaged_by_hand(
+    offset, centre, half_width, opacity, skew, blur, bend=0.0, samples=20_001
+):
     """The paper's semi-ellipse, bent by the skew, its mean over the window taken numerically."""
     window = WINDOW_PER_BLUR * blur
     at = offset + window * ((np.arange(samples) + 0.5) / samples - 0.5)
     share = np.clip((at - centre) / half_width, -1, 1)
-    bend = 1 + skew * share + skew**2 * (1.5 * share**2 + (1 - share**2) / 6)
-    return opacity * (np.sqrt(1 - share**2) * bend).mean()
+    longer = 1 + skew * share + bend**2 * (1.5 * share**2 + (1 - share**2) / 6)
+    return opacity * (np.sqrt(1 - share**2) * longer).mean()
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -163,7 +165,7 @@ def test_the_skew_is_that_of_a_ball_on_a_circle(bending_radius, turn):
     straight_on = math.acos(1 - half_width**2 / (2 * bending_radius**2))
     skew = turn * half_width / (2 * bending_radius)
     model = semi_ellipse(
-        torch.from_numpy(offset), *as_tensors(0.0, half_width, opacity, skew, 1e-3)
+        torch.from_numpy(offset), *as_tensors(0.0, half_width, opacity, skew, 1e-3, skew)
     )
     error = model.numpy() - opacity * covered / straight_on
     assert np.abs(error).max() < 0.6 * opacity * (half_width / bending_radius) ** 2
