@@ -1,0 +1,175 @@
+"""The whole measurement: what it reports, and what it refuses."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from plugins.uniform import Uniform
+from toolkit import ConfigError, MismatchError, ProfileFlag, StreakError, measure
+from toolkit.synthetic import benchmark_scene, preset_scene, render_shot
+
+
+@pytest.fixture(scope="module")
+def shot():
+    scene = benchmark_scene(width_px=30, length_widths=5, heading=0.4, tilt=0.2, seed=4)
+    return render_shot(scene, seed=4)
+
+
+def run(shot, image=None, background=None, colour=None, **changes):
+    scene = shot.scene
+    settings = {
+        "camera": scene.camera,
+        "ball_radius": scene.ball_radius,
+        "exposure": scene.exposure,
+        "estimator": Uniform(colour=colour or scene.appearance.colour),
+    }
+    return measure(image or shot.image, background or shot.background, **settings | changes)
+
+
+def codes(result):
+    return {caution.code for caution in result.warnings}
+
+
+def test_a_whole_measurement_agrees_with_the_truth(shot):
+    result = run(shot)
+    assert result.status == "ok"
+    assert result.stage == "contours"
+    error = np.abs(np.array(result.position_m) - shot.position.numpy())
+    assert (error < 4 * np.array(result.position_std_m)).all()
+    speed = float(shot.velocity.norm())
+    assert abs(result.speed_m_s - speed) < 4 * result.speed_std_m_s
+    assert result.speed_std_m_s < 0.05 * speed
+    assert codes(result) == {"camera-uncertainty-unknown"}
+
+
+def test_both_signs_are_reported(shot):
+    result = run(shot)
+    assert result.sign.ambiguous
+    assert result.direction[0] > 0
+    (other,) = result.sign.alternatives
+    np.testing.assert_allclose(other.velocity_m_s, -np.array(result.velocity_m_s))
+    assert other.probability + result.sign.probability == 1
+
+
+def test_profiles_at_both_ends_are_left_out(shot):
+    flags = np.array(run(shot).profiles.flags)
+    is_end = (flags & int(ProfileFlag.END)) > 0
+    assert is_end[:15].all()
+    assert is_end[-15:].all()
+    assert not is_end[len(flags) // 2]
+
+
+def test_the_path_runs_through_the_exposure(shot):
+    path = run(shot).trajectory
+    assert path.time_s[0] == 0
+    assert path.time_s[-1] == pytest.approx(shot.scene.exposure)
+    ends = shot.scene.path.position(torch.tensor([0.0, shot.scene.exposure], dtype=torch.float64))
+    found = np.array(path.position_m)[[0, -1]]
+    found = found if np.dot(found[1] - found[0], (ends[1] - ends[0]).numpy()) > 0 else found[::-1]
+    assert np.abs(found - ends.numpy())[:, :2].max() < 0.2 * shot.scene.ball_radius
+
+
+def test_without_an_exposure_only_the_speed_is_missing(shot):
+    result, full = run(shot, exposure=None), run(shot)
+    assert result.speed_m_s is None
+    assert result.velocity_m_s is None
+    assert result.state_covariance is None
+    assert result.time_s is None
+    assert result.position_m == full.position_m
+    assert "exposure-unknown" in codes(result)
+
+
+def test_radius_and_exposure_errors_enter_the_budget(shot):
+    scene = shot.scene
+    result = run(shot, ball_radius_std=0.02 * scene.ball_radius, exposure_std=0.03 * scene.exposure)
+    plain = run(shot)
+    extra = result.speed_std_m_s**2 - plain.speed_std_m_s**2
+    assert extra == pytest.approx(plain.speed_m_s**2 * (0.02**2 + 0.03**2), rel=1e-6)
+    depth = result.position_std_m[2] ** 2 - plain.position_std_m[2] ** 2
+    assert depth == pytest.approx((0.02 * plain.position_m[2]) ** 2, rel=1e-6)
+    shares = result.budget.speed
+    assert shares.noise + shares.radius + shares.exposure + shares.response == pytest.approx(1)
+
+
+def test_a_camera_s_covariance_enters_the_depth(shot):
+    camera = shot.scene.camera
+    sigma = 0.01 * camera.fx
+    covariance = torch.diag(torch.tensor([sigma**2, sigma**2, 1e-6, 1e-6], dtype=torch.float64))
+    covariance[0, 1] = covariance[1, 0] = sigma**2  # one focal length
+    result = run(shot, camera=replace(camera, covariance=covariance))
+    plain = run(shot)
+    added = result.position_std_m[2] ** 2 - plain.position_std_m[2] ** 2
+    assert added**0.5 == pytest.approx(0.01 * plain.position_m[2], rel=0.05)
+
+
+def test_a_wrong_colour_shows_and_widens_the_speed(shot):
+    red, green, blue = shot.scene.appearance.colour
+    result = run(shot, colour=(0.8 * red, 0.8 * green, 0.8 * blue))
+    assert "opacity-and-ends-disagree" in codes(result)
+    assert abs(result.speed_m_s - float(shot.velocity.norm())) < 3 * result.speed_std_m_s
+
+
+def test_a_change_of_light_is_corrected_and_reported(shot):
+    darker = replace(shot.background, rgb=0.97 * shot.background.rgb)
+    result, plain = run(shot, background=darker), run(shot)
+    assert "background-brightness" in codes(result)
+    gap = np.array(result.position_m) - np.array(plain.position_m)
+    assert np.linalg.norm(gap) < 0.1 * shot.scene.ball_radius
+
+
+def test_the_same_picture_gives_the_same_answer(shot):
+    assert replace(run(shot), timing_s={}) == replace(run(shot), timing_s={})
+
+
+def test_a_shot_without_a_ball_is_refused(shot):
+    with pytest.raises(StreakError, match="no ball found"):
+        run(shot, image=shot.background)
+
+
+def test_a_streak_that_leaves_the_picture_is_refused(shot):
+    width = shot.image.width // 2
+    cut = {
+        "image": shot.image.window(0, 0, width, shot.image.height),
+        "background": shot.background.window(0, 0, width, shot.image.height),
+        "camera": shot.scene.camera.cropped(0, 0, width, shot.image.height),
+    }
+    with pytest.raises(StreakError, match="leaves the picture"):
+        run(shot, **cut)
+
+
+def test_a_short_streak_is_refused():
+    short = render_shot(benchmark_scene(width_px=40, length_widths=0.9, seed=1), seed=1)
+    with pytest.raises(StreakError, match="at least two"):
+        run(short)
+
+
+def test_a_bounce_is_refused():
+    scene = preset_scene("bounce", size=(600, 400), seed=0)
+    with pytest.raises(StreakError, match="corner"):
+        run(render_shot(scene, seed=0))
+
+
+def test_inputs_that_do_not_fit_are_named(shot):
+    small = shot.background.window(0, 0, 50, 40)
+    with pytest.raises(MismatchError, match="background is 50x40"):
+        run(shot, background=small)
+    with pytest.raises(MismatchError, match="camera"):
+        run(shot, camera=replace(shot.scene.camera, width=333))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"ball_radius": 0.0},
+        {"ball_radius": float("nan")},
+        {"exposure": -1.0},
+        {"ball_radius_std": -0.1},
+        {"exposure_std": float("inf")},
+    ],
+)
+def test_impossible_numbers_are_named(shot, change):
+    name = next(iter(change)).replace("_", " ")
+    with pytest.raises(ConfigError, match=name):
+        run(shot, **change)

@@ -1,0 +1,97 @@
+"""Finding the streak and tracing its axis."""
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from plugins.uniform import Uniform
+from toolkit import ConfigError, LinearImage, StreakError
+from toolkit.background import estimate_noise
+from toolkit.streak import find_streak, refine_axis, trace_axis
+from toolkit.synthetic import benchmark_scene, render_shot
+
+
+@pytest.fixture(scope="module")
+def shot():
+    return render_shot(
+        benchmark_scene(width_px=24, length_widths=5, heading=0.5, size=(260, 220), seed=2), seed=2
+    )
+
+
+def search(shot, image=None, roi=None):
+    image = shot.image if image is None else image
+    noise = estimate_noise(image, shot.background)
+    estimator = Uniform(colour=shot.scene.appearance.colour)
+    return find_streak(image, shot.background, noise, estimator, roi)
+
+
+def painted(image, rows, columns, colour):
+    rgb = image.rgb.clone()
+    rgb[0, :, rows, columns] = torch.tensor(colour)[:, None, None]
+    return LinearImage(rgb=rgb, clipped=image.clipped)
+
+
+def true_centres(shot):
+    time = torch.linspace(0, shot.scene.exposure, 50, dtype=torch.float64)
+    return shot.scene.camera.project(shot.scene.path.position(time))
+
+
+def test_the_axis_follows_the_ball_from_left_to_right(shot):
+    streak = search(shot)
+    gaps = torch.cdist(true_centres(shot), streak.axis[0]).min(1).values
+    assert gaps.max() < 1.5
+    assert streak.axis[0, -1, 0] > streak.axis[0, 0, 0]
+    assert float(streak.half_width) == pytest.approx(12, abs=3)
+    assert int(streak.mask.sum()) == pytest.approx(int((shot.alpha > 0.03).sum()), rel=0.15)
+
+
+def test_a_dark_bystander_is_not_the_ball(shot):
+    image = painted(shot.image, slice(0, 40), slice(0, 200), (0.0, 0.0, 0.0))
+    found, alone = search(shot, image), search(shot)
+    assert torch.allclose(found.axis, alone.axis, atol=1.0)
+
+
+def test_a_region_is_searched_alone(shot):
+    with pytest.raises(StreakError, match="no ball found"):
+        search(shot, roi=(0, 0, 40, 40))
+
+
+@pytest.mark.parametrize("roi", [(-1, 0, 50, 50), (0, 0, 999, 50), (10, 10, 0, 5)])
+def test_a_region_outside_the_picture_is_refused(shot, roi):
+    with pytest.raises(ConfigError, match="does not lie inside"):
+        search(shot, roi=roi)
+
+
+def test_a_picture_without_the_ball_is_refused(shot):
+    with pytest.raises(StreakError, match="no ball found"):
+        search(shot, shot.background)
+
+
+def test_a_round_image_is_no_streak():
+    still = render_shot(benchmark_scene(width_px=30, length_widths=0.1, size=(120, 100)), seed=0)
+    with pytest.raises(StreakError, match="too small or too round"):
+        search(still)
+
+
+@pytest.mark.parametrize("turn", [0.0, 1.2, 2.4])
+def test_the_traced_axis_follows_an_arc(turn):
+    angle = np.linspace(0, np.pi * 0.6, 60) + turn
+    points = np.stack([150 + 90 * np.cos(angle), 150 + 90 * np.sin(angle)], -1)
+    mask = np.zeros((300, 300), np.uint8)
+    cv2.polylines(mask, [points.round().astype(np.int32)[:, None]], False, 1, thickness=21)
+    axis, half_width = trace_axis(mask)
+    radius = np.hypot(axis[:, 0] - 150, axis[:, 1] - 150)
+    assert np.abs(radius[8:-8] - 90).max() < 2.5
+    assert half_width == pytest.approx(10.5, abs=2)
+
+
+def test_the_refined_axis_ignores_profiles_without_weight():
+    position = torch.arange(80, dtype=torch.float64)
+    middle = torch.stack([position, 0.2 * position], dim=-1)
+    middle[60:] += 30
+    weight = torch.ones(80, dtype=torch.float64)
+    weight[60:] = 0
+    axis = refine_axis(middle, weight, position, (2, 3))
+    assert torch.allclose(axis[0, :, 1], 0.2 * axis[0, :, 0], atol=1e-6)
+    assert axis[0, -1, 0] > 75  # continued straight to where the old axis ended
