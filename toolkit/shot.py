@@ -24,6 +24,10 @@ from toolkit.types import LinearImage
 DEFAULT_ESTIMATOR = "uniform"
 RIG_NAME, CAMERA_NAME = "rig.toml", "camera.toml"
 
+RADIUS_LIMITS = (1e-6, 1e4)
+EXPOSURE_LIMITS = (1e-9, 1e5)
+"""Metre and second; beyond these lies no ball and no shutter, but a slip of the keyboard."""
+
 Roi = tuple[int, int, int, int]
 
 
@@ -42,6 +46,7 @@ class ShotInputs:
     estimator_name: str
     roi: Roi | None  # left, top, width, height px
     inputs: Inputs
+    files: tuple[Path, ...]  # all that was read: no result may replace one of them
     provenance: Mapping[str, str]  # "measured" where somebody or the file says so, else "assumed"
     read_time: float  # second it took to read the files
 
@@ -100,10 +105,12 @@ def load_shot(
         options=options or {},
     )
     shot = Path(shot)
-    if not shot.exists():
-        raise ImageError(f"{shot} does not exist; give the path of a picture or video")
-    settings = said.over(_find_rig(shot, None if rig is None else Path(rig)))
-    return _read_shot(_plan(shot, settings), roi, frame)
+    if shot.is_dir() or not shot.exists():
+        trouble = "is a folder" if shot.is_dir() else "does not exist"
+        raise ImageError(f"{shot} {trouble}; give the path of a picture or video")
+    rig_file = _find_rig(shot, None if rig is None else Path(rig))
+    settings = said if rig_file is None else said.over(read_rig(rig_file))
+    return _read_shot(_plan(shot, rig_file, settings), roi, frame)
 
 
 def measure_shot(shot: ShotInputs) -> Measurement:
@@ -152,32 +159,45 @@ class _Plan:
     """What to read, once nothing is missing any more."""
 
     shot: Path
+    rig: Path | None
     camera: Path
     ball_radius: float
     estimator: AlphaEstimator
     estimator_name: str
     settings: Rig
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """All that will be read."""
+        response = self.settings.response
+        curve = None if response is None else Path(response)
+        own = (self.shot, self.rig, self.camera, curve if curve and curve.is_file() else None)
+        return (*(path for path in own if path is not None), *self.settings.background)
 
-def _find_rig(shot: Path, rig: Path | None) -> Rig:
+
+def _find_rig(shot: Path, rig: Path | None) -> Path | None:
     beside = shot.parent / RIG_NAME
-    if rig is None and not beside.is_file():
-        return Rig()
-    return read_rig(rig or beside)
+    return rig or (beside if beside.is_file() else None)
 
 
-def _plan(shot: Path, settings: Rig) -> _Plan:
+def _plan(shot: Path, rig: Path | None, settings: Rig) -> _Plan:
     """Check what is known before any picture is read; everything missing is named at once."""
     beside = shot.parent / CAMERA_NAME
     camera = settings.camera or (beside if beside.is_file() else None)
     radius = settings.ball_radius
     name = settings.estimator or DEFAULT_ESTIMATOR
     known = {**_facts(settings.ball_colours), **settings.options}
+    needed = registry.missing_fields(registry.load(name), known)
+    if len(settings.ball_colours) > 1 and registry.HOW_TO_GIVE["colour"] in needed:
+        raise ConfigError(
+            f"{len(settings.ball_colours)} ball colours are given, but estimator '{name}' is for "
+            "a ball of one; give one, or choose another --estimator"
+        )
     missing = [
         *([] if camera else [f"a camera: --camera F, or {CAMERA_NAME} beside the shot"]),
         *([] if settings.background else ["a picture without the ball: --background F"]),
         *(["the ball's radius: --radius METRES"] if radius is None else []),
-        *registry.missing_fields(registry.load(name), known),
+        *needed,
     ]
     if camera is None or radius is None or missing:
         raise ConfigError(f"{shot} cannot be measured without {'; and '.join(missing)}")
@@ -185,6 +205,7 @@ def _plan(shot: Path, settings: Rig) -> _Plan:
     estimator = registry.build(name, given=_facts(settings.ball_colours), options=settings.options)
     return _Plan(
         shot=shot,
+        rig=rig,
         camera=camera,
         ball_radius=float(radius),
         estimator=estimator,
@@ -217,6 +238,7 @@ def _read_shot(plan: _Plan, roi: Roi | None, frame: int | None) -> ShotInputs:
             background=tuple(_fingerprint(path) for path in settings.background),
             camera=_fingerprint(plan.camera),
         ),
+        files=plan.files,
         provenance=_provenance(settings, image),
         read_time=time.perf_counter() - start,
     )
@@ -230,17 +252,22 @@ def _facts(colours: tuple[Colour, ...]) -> dict[str, object]:
 
 
 def _check_numbers(ball_radius: float, settings: Rig) -> None:
-    positive = {"the ball's radius": ball_radius, "the exposure time": settings.exposure}
-    spreads = {
-        "the standard deviation of the ball's radius": settings.ball_radius_std,
-        "the standard deviation of the exposure time": settings.exposure_std,
-    }
-    for name, value in positive.items():
-        if value is not None and not (math.isfinite(value) and value > 0):
-            raise ConfigError(f"{name} is {value:g}; a positive number is needed (metres, seconds)")
-    for name, value in spreads.items():
+    for what, value, unit, limits in (
+        ("ball's radius", ball_radius, "m", RADIUS_LIMITS),
+        ("exposure time", settings.exposure, "s", EXPOSURE_LIMITS),
+    ):
+        if value is not None and not limits[0] <= value <= limits[1]:
+            span = f"from {limits[0]:g} to {limits[1]:g} {unit}"
+            raise ConfigError(f"the {what} is {value:g} {unit}; a number {span} is needed")
+    for what, value, unit in (
+        ("ball's radius", settings.ball_radius_std, "m"),
+        ("exposure time", settings.exposure_std, "s"),
+    ):
         if value is not None and not (math.isfinite(value) and value >= 0):
-            raise ConfigError(f"{name} is {value:g}; zero or a positive number is needed")
+            raise ConfigError(
+                f"the standard deviation of the {what} is {value:g} {unit}; "
+                "zero or a positive number is needed"
+            )
 
 
 def _check_size(shot: Path, image: LinearImage, other: Path, background: LinearImage) -> None:

@@ -110,16 +110,19 @@ def test_exposure_may_be_unknown(folder):
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"ball_radius": 0.0}, "the ball's radius is 0; a positive number is needed"),
+        (
+            {"ball_radius": 0.0},
+            "the ball's radius is 0 m; a number from 1e-06 to 10000 m is needed",
+        ),
         ({"ball_radius": float("nan")}, "the ball's radius is nan"),
-        ({"ball_radius_std": -1.0}, "deviation of the ball's radius is -1; zero or a positive"),
-        ({"exposure": -0.1}, "the exposure time is -0.1; a positive"),
+        ({"ball_radius_std": -1.0}, "deviation of the ball's radius is -1 m; zero or a positive"),
+        ({"exposure": -0.1}, "the exposure time is -0.1 s; a number from"),
         ({"exposure": float("inf")}, "the exposure time is inf"),
         ({"roi": (0, 0, 41, 30)}, r"roi 0,0,41,30 .* is not inside the picture of 40x30"),
         ({"roi": (-1, 0, 4, 4)}, "roi -1,0,4,4"),
         ({"roi": (1, 1, 0, 4)}, "roi 1,1,0,4"),
         ({"options": {"gloss": "1"}}, "has no field 'gloss'"),
-        ({"ball_colours": [COLOUR, COLOUR]}, "without the ball's colour"),
+        ({"ball_colours": [COLOUR, COLOUR]}, "2 ball colours are given"),
         ({"camera": "none.toml"}, "none.toml does not exist"),
         ({"rig": "none.toml"}, "none.toml does not exist"),
         ({"response": "nonsense"}, "nonsense"),

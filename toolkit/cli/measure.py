@@ -1,5 +1,6 @@
 """toolkit measure: one shot in, one measurement out."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -74,7 +75,7 @@ def measure(
     What is said here beats the rig, and the rig beats what the shot's file tells. Without an
     exposure time position and direction are measured, but no speed.
     """
-    _check_outputs(out, overlay, inputs=[shot, camera, rig, *(background or [])])
+    _check_outputs(out, overlay, inputs=[shot])
     options = _options(set_ or [])
     colours = _colours(ball_colour or [])
     corner_and_size = _roi(roi)
@@ -97,6 +98,7 @@ def measure(
         roi=corner_and_size,
         frame=frame,
     )
+    _check_outputs(out, overlay, inputs=loaded.files)
     try:
         measurement = measure_shot(loaded)
     except StreakError as error:
@@ -119,16 +121,20 @@ def _hand_out(measurement: "Measurement", out: Path | None, json: bool) -> None:
         typer.echo(text)
 
 
-def _check_outputs(out: Path | None, overlay: Path | None, inputs: list[Path | None]) -> None:
-    """Refuse results that would replace an input, or a picture format that is not drawn."""
+def _check_outputs(out: Path | None, overlay: Path | None, inputs: Iterable[Path]) -> None:
+    """Refuse results that would replace an input or each other, or a format that is not drawn."""
     if overlay is not None and overlay.suffix.lower() != ".png":
         raise ConfigError(f"--overlay is {overlay}; its name must end in .png")
-    taken = {path.resolve() for path in inputs if path is not None}
+    taken = {path.resolve() for path in inputs}
     for flag, path in (("--out", out), ("--overlay", overlay)):
-        if path is not None and path.resolve() in taken:
+        if path is None:
+            continue
+        if path.resolve() in taken:
             raise ConfigError(f"{flag} is {path}, an input; choose another name")
-        if path is not None and not path.parent.is_dir():
+        if not path.parent.is_dir():
             raise ConfigError(f"{flag} is {path}, but there is no folder {path.parent}; make it")
+    if out is not None and overlay is not None and out.resolve() == overlay.resolve():
+        raise ConfigError(f"--out and --overlay are both {out}; choose two names")
 
 
 def _options(words: list[str]) -> dict[str, str]:

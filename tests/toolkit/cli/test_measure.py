@@ -2,11 +2,13 @@ import json
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 
 import toolkit.shot
 from toolkit import Measurement, StreakError
 from toolkit.cli.main import main
+from toolkit.imaging import write_png16
 
 
 @pytest.fixture
@@ -98,6 +100,22 @@ def test_missing_inputs_are_one_line_and_2(folder, capsys):
         (["--ball-colour", "red"], 2, "--ball-colour is 'red'; 3 values"),
         (["--overlay", "o.jpg"], 2, "must end in .png"),
         (["--overlay", "no/o.png"], 2, "there is no folder no; make it"),
+        (["--overlay", "o.png", "--out", "./o.png"], 2, "both o.png; choose two names"),
+        (["--ball-colour", "0.1,0.2,0.3"], 2, "2 ball colours are given, but estimator 'uniform'"),
+        (["--ball-colour", "0.1,0.2"], 2, "--ball-colour is '0.1,0.2'; 3 values"),
+        (["--radius", "0"], 2, "the ball's radius is 0 m; a number from 1e-06 to 10000 m"),
+        (["--radius", "-1"], 2, "the ball's radius is -1 m"),
+        (["--radius", "nan"], 2, "the ball's radius is nan m"),
+        (["--radius", "1e300"], 2, "the ball's radius is 1e+300 m"),
+        (["--radius", "ball"], 2, "--radius"),
+        (["--radius-std", "nan"], 2, "deviation of the ball's radius is nan m"),
+        (["--exposure", "nan"], 2, "the exposure time is nan s; a number from 1e-09 to 100000 s"),
+        (["--exposure", "1e-300"], 2, "the exposure time is 1e-300 s"),
+        (["--roi", "30,0,20,20"], 2, "is not inside the picture of 40x30"),
+        (["--set", "shine=1"], 2, "has no field 'shine'; its fields are: colour"),
+        (["--response", "shiny"], 2, "response 'shiny' is neither a file nor a known curve"),
+        (["--camera", "none.toml"], 2, "none.toml does not exist"),
+        (["--rig", "none.toml"], 2, "none.toml does not exist"),
         (["--frame", "3"], 2, "frame"),
         (["--estimator", "shiny"], 2, "no estimator 'shiny'"),
         (["--background", "none.png"], 3, "none.png"),
@@ -116,6 +134,51 @@ def test_input_is_never_overwritten(words, seen, folder, capsys):
     assert main([*words, "--overlay", str(folder / "empty.png")]) == 2
     assert "an input; choose another name" in capsys.readouterr().err
     assert (folder / "empty.png").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("flag", "name"),
+    [("--overlay", "shot.png"), ("--overlay", "empty.png")]
+    + [("--out", f"{name}.toml") for name in ("rig", "camera", "curve")],
+)
+def test_files_that_the_rig_names_are_inputs_too(seen, folder, flag, name, capsys):
+    (folder / "rig.toml").write_text(
+        'schema = "toolkit.rig/1"\n[ball]\nradius_m = 0.03\ncolours = [[0.1, 0.2, 0.3]]\n'
+        '[background]\nimages = ["empty.png"]\n[response]\nfile = "curve.toml"\n'
+    )
+    channel = "brightness = [0.0, 1.0]\nexposure = [0.0, 1.0]\nstd = [0.0, 0.0]\n"
+    curve = "".join(f"[channels.{letter}]\n{channel}" for letter in "rgb")
+    (folder / "curve.toml").write_text('schema = "toolkit.response/1"\n' + curve)
+    before = (folder / name).read_bytes()
+    assert main(["measure", str(folder / "shot.png"), flag, str(folder / name)]) == 2
+    assert "an input; choose another name" in capsys.readouterr().err
+    assert (folder / name).read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "text"),
+    [
+        ("none.png", 3, "none.png does not exist"),
+        ("", 3, "is a folder; give the path of a picture"),
+        ("text.png", 3, "text.png is a text file"),
+        ("cut.png", 3, "cut.png is cut or damaged"),
+        ("large.png", 4, "the background"),
+    ],
+)
+def test_shots_that_cannot_be_used_leave_old_results(words, seen, folder, name, code, text, capsys):
+    (folder / "text.png").write_text("no picture")
+    (folder / "cut.png").write_bytes((folder / "shot.png").read_bytes()[:-100])
+    large = np.linspace(0.2, 0.3, 3 * 60 * 80).reshape(3, 60, 80)
+    write_png16(folder / "large.png", large)
+    old = folder / "m.json"
+    old.write_text("old")
+    words[1] = str(folder / name)
+    assert main([*words, "--camera", str(folder / "camera.toml"), "--out", str(old)]) == code
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert text in err
+    assert err.count("\n") == 1
+    assert old.read_text() == "old"
 
 
 def test_folder_that_cannot_be_written_is_7(words, seen, folder, capsys):
