@@ -25,6 +25,8 @@ from toolkit.measurement import Caution
 Array = NDArray[np.float64]
 
 FEWEST_VIEWS = 3
+MOST_NAMED = 4
+"""Photos that an error's one line names."""
 ADVISED_VIEWS = 8
 """Below this many views a caution is given."""
 SAME_VIEW_SHARE = 0.01
@@ -120,7 +122,7 @@ def check_request(
 
 def _check_views(views: Sequence[View]) -> None:
     if all(view.picture_size is None for view in views):
-        raise ImageError(f"none of the {len(views)} photos can be read: {_reasons(views)}")
+        raise ImageError(f"none of the {len(views)} photos can be read: {reasons(views)}")
     used = [view for view in views if view.is_used]
     different = _count_different(used)
     if different >= FEWEST_VIEWS:
@@ -129,15 +131,15 @@ def _check_views(views: Sequence[View]) -> None:
     if different < len(used):
         text += f" ({len(used)} show it, some from the same place)"
     raise CalibrationError(
-        f"{text}, {FEWEST_VIEWS} are needed: {_reasons(views) or 'all were used'};"
+        f"{text}, {FEWEST_VIEWS} are needed: {reasons(views) or 'all were used'};"
         " take 10 or more, tilted in different directions"
     )
 
 
-def _reasons(views: Sequence[View], most: int = 4) -> str:
+def reasons(views: Sequence[View], most: int = MOST_NAMED) -> str:
     """Name the first views that are not used, each with its reason."""
     texts = [
-        view.reason if str(view.path) in view.reason else f"{view.path}: {view.reason}"
+        view.reason if view.reason.startswith(str(view.path)) else f"{view.path}: {view.reason}"
         for view in views
         if not view.is_used
     ]

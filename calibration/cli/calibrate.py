@@ -42,8 +42,7 @@ def calibrate(
     """Calibrate a camera from photos of a checkerboard."""
     paths = expand([*(images or []), *(more or [])])
     size = parse_board(board)
-    if not out.absolute().parent.is_dir():
-        raise ConfigError(f"--out {out}: its folder does not exist; create it or choose another")
+    _check_out(out, paths)
     from calibration.corners import find_boards
     from calibration.intrinsics import calibrate_views, check_request
 
@@ -57,6 +56,13 @@ def calibrate(
         raise
     _write(out, result)
     typer.echo(_json_text(result, out, square) if json else _text(result, out))
+
+
+def _check_out(out: Path, photos: Sequence[Path]) -> None:
+    if not out.absolute().parent.is_dir():
+        raise ConfigError(f"--out {out}: its folder does not exist; create it or choose another")
+    if out.resolve() in {photo.resolve() for photo in photos}:
+        raise ConfigError(f"--out {out} is one of the photos; choose another name")
 
 
 def expand(words: Sequence[str]) -> list[Path]:
@@ -114,12 +120,14 @@ def _progress(count: int) -> Iterator["Callable[[Path], None]"]:
 
 
 def _report_failure(views: "Sequence[View]", error: ToolkitError, json: bool) -> None:
-    """Name every photo that failed on stderr; print the refusal as JSON where that was asked."""
+    """Log the failed photos that the error does not name; print a refusal as JSON where asked."""
     import logging
 
-    for view in views:
-        if not view.is_used:
-            logging.getLogger("toolkit").warning("%s", _line(view))
+    from calibration.intrinsics import MOST_NAMED, reasons
+
+    failed = [view for view in views if not view.is_used]
+    for view in failed[MOST_NAMED if reasons(views) in str(error) else 0 :]:
+        logging.getLogger("toolkit").warning("%s", _line(view))
     if json and isinstance(error, CalibrationError):
         from json import dumps
 
@@ -139,7 +147,7 @@ def _line(view: "View") -> str:
     name, reason = _printable(str(view.path)), _printable(view.reason)
     if view.is_used:
         return f"{name}: {view.corner_count} corners, {view.rms_px:.2f} px"
-    return f"left out: {reason}" if name in reason else f"{name}: left out: {reason}"
+    return f"left out: {reason}" if reason.startswith(name) else f"{name}: left out: {reason}"
 
 
 def _printable(text: str) -> str:

@@ -106,8 +106,26 @@ def test_a_wrong_board_is_refused_with_each_photo_named(photos, out, capsys):
     text = capsys.readouterr()
     assert text.out == ""
     for path in photos.paths:
-        assert f"{path}: left out: no board of 8x7 inner corners found" in text.err
+        assert text.err.count(str(path)) == 1
+    assert text.err.count("no board of 8x7 inner corners found") == len(photos.paths)
     assert out.read_text() == OLDER
+
+
+def test_a_few_failures_are_one_line(tmp_path, monkeypatch, capsys):
+    """The folder's name is a word of the reason, and is named all the same."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a").mkdir()
+    assert main(["calibrate", "--images", "a", "gone.jpg", "--out", "c.toml"]) == 3
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert "a: cannot be read (Is a directory); gone.jpg: cannot be read" in err
+
+
+def test_a_photo_is_never_overwritten(photos, capsys):
+    before = photos.paths[0].read_bytes()
+    assert run(photos.paths[0], "--images", *photos.paths) == 2
+    assert "is one of the photos; choose another name" in capsys.readouterr().err
+    assert photos.paths[0].read_bytes() == before
 
 
 @pytest.mark.parametrize(
