@@ -1,5 +1,6 @@
 """A measurement in a dozen lines of text; plain ASCII, so that every terminal can show it."""
 
+import math
 from collections.abc import Iterable, Sequence
 
 from toolkit.measurement import Measurement, ProfileTable, Shares, Sign
@@ -36,7 +37,15 @@ def _spread(values: Sequence[float] | None, stds: Sequence[float] | None, unit: 
     if values is None or stds is None:
         return _vector(values, unit)
     pairs = zip("xyz", values, stds, strict=True)
-    return ", ".join(f"{axis} {v:+.4f} +/- {s:.4f}" for axis, v, s in pairs) + f" {unit}"
+    return ", ".join(f"{axis} {_with_std(v, s, '+')}" for axis, v, s in pairs) + f" {unit}"
+
+
+def _with_std(value: float, std: float, sign: str = "") -> str:
+    """Write both to the second digit of the standard deviation: no more of the value is known."""
+    if not (math.isfinite(std) and std > 0):
+        return f"{value:{sign}.5g} +/- {std:.2g}"
+    decimals = min(max(1 - math.floor(math.log10(std)), 0), 12)
+    return f"{value:{sign}.{decimals}f} +/- {std:.{decimals}f}"
 
 
 def _number(value: float | None, unit: str) -> str:
@@ -47,9 +56,9 @@ def _speed(measurement: Measurement) -> str:
     if measurement.speed_m_s is None:
         limit = measurement.speed_upper_m_s
         return "unknown" if limit is None else f"below {limit:.4g} m/s"
-    std = measurement.speed_std_m_s
-    spread = "" if std is None else f" +/- {std:.2g}"
-    return f"{measurement.speed_m_s:.5g}{spread} m/s"
+    if measurement.speed_std_m_s is None:
+        return f"{measurement.speed_m_s:.5g} m/s"
+    return f"{_with_std(measurement.speed_m_s, measurement.speed_std_m_s)} m/s"
 
 
 def _sign_rows(sign: Sign | None) -> Iterable[tuple[str, str]]:

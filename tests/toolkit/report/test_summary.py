@@ -1,3 +1,5 @@
+import pytest
+
 from toolkit import Measurement
 from toolkit.measurement import Alternative, Budget, Caution, ProfileTable, Shares, Sign
 from toolkit.report import summarise
@@ -30,7 +32,7 @@ def test_summary_says_what_matters():
             warnings=(Caution(code="x", message="mind the [gap]"),),
         )
     )
-    assert "x +0.1000 +/- 0.0010, y -0.2000 +/- 0.0020, z +2.0000 +/- 0.0100 m" in text
+    assert "x +0.1000 +/- 0.0010, y -0.2000 +/- 0.0020, z +2.000 +/- 0.010 m" in text
     assert "12.346 +/- 0.057 m/s" in text
     assert "open, probability 0.50" in text
     assert "-1.0000 +0.0000 +0.0000, probability 0.50" in text
@@ -53,3 +55,18 @@ def test_settled_sign_names_its_cue():
 
 def test_refusal_gives_the_reason():
     assert summarise(Measurement.refused("too dark")).startswith("refused: too dark")
+
+
+@pytest.mark.parametrize(
+    ("speed", "std", "text"),
+    [
+        (31.7112, 0.2, "31.71 +/- 0.20 m/s"),
+        (9.8506, 3.8, "9.9 +/- 3.8 m/s"),
+        (120.4, 76.0, "120 +/- 76 m/s"),
+        (2.5, 0.0, "2.5 +/- 0 m/s"),
+    ],
+)
+def test_a_value_has_no_more_digits_than_are_known(speed, std, text):
+    assert f"speed      {text}\n" in summarise(
+        Measurement(speed_m_s=speed, speed_std_m_s=std, time_s=0.01)
+    )
