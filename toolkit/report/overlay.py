@@ -20,9 +20,10 @@ CONTOUR: Colour = (240, 228, 66)
 AXIS: Colour = (86, 180, 233)
 GOOD_PROFILE: Colour = (0, 158, 115)
 LEFT_OUT_PROFILE: Colour = (213, 94, 0)
+BRIGHTEST = 0.6  # light to which a dark shot is raised: against white the lines would drown
 
 REFERENCE_SIZE = 1400  # px of the longer side for which lines are one pixel wide
-PROFILE_SPACING = 8  # px between the profiles drawn, for lines of one pixel
+PROFILE_SPACING = 8  # px at least between the profiles drawn, for lines of one pixel
 SUBPIXEL_BITS = 4  # OpenCV draws in units of 1/16 px
 
 
@@ -62,9 +63,9 @@ def write_overlay(path: Path, image: LinearImage, measurement: Measurement) -> N
 
 
 def _visible(image: LinearImage) -> Picture:
-    """Turn light into sRGB with the 99.5th percentile near white, never darker than it was."""
+    """Turn light into sRGB with the 99.5th percentile bright, never darker than it was."""
     light = image.rgb[0].permute(1, 2, 0).cpu().numpy()
-    gain = max(1.0, 0.9 / max(float(np.percentile(light[::4, ::4], 99.5)), 1e-3))
+    gain = max(1.0, BRIGHTEST / max(float(np.percentile(light[::4, ::4], 99.5)), 1e-3))
     light = np.clip(light * gain, 0, 1)
     curved = np.where(
         light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-6) ** (1 / 2.4) - 0.055
@@ -79,7 +80,8 @@ def _draw_profiles(
     centre = np.array(profiles.centre_px, dtype=float).reshape(-1, 2)
     reach = np.array(profiles.half_width_px, dtype=float)[:, None] * _normals(centre, contours)
     ends = np.stack([centre - reach, centre + reach], axis=1)
-    step = _stride(centre, PROFILE_SPACING * pen)
+    width = float(np.nanmedian(profiles.half_width_px)) if np.isfinite(reach).any() else 0.0
+    step = _stride(centre, max(PROFILE_SPACING * pen, width / 2))
     for flag, line in zip(profiles.flags[::step], ends[::step], strict=True):
         _draw_line(picture, line, GOOD_PROFILE if flag == 0 else LEFT_OUT_PROFILE, pen)
 
