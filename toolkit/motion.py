@@ -51,9 +51,7 @@ class Motion:
     displacement: Tensor  # [3] m per exposure at mid-exposure: velocity times exposure time
     path: Tensor  # [N, 3] m, at equal shares of the exposure from start to end
     path_displacement: Tensor  # [N, 3] m per exposure
-    duration: (
-        Tensor  # share of the exposure that the distance between the ends took; 1 when all agrees
-    )
+    duration: Tensor  # share of the exposure the way between the ends took; 1 when all agrees
 
     def state(self) -> Tensor:
         """(position, displacement, speed per exposure, duration, path) in one vector [8 + 3 N]."""

@@ -26,25 +26,25 @@ from toolkit.profile_fit import BLUR_ROUNDS, KNOWN_SKEW, Skew, fit_profiles, ref
 from toolkit.profiles import axis_bend, gather_profiles
 from toolkit.reconstruction import follow_motion, reconstruct_axis
 from toolkit.result import describe
-from toolkit.view import StreakView, observe_streak
 from toolkit.streak import ROI, refine_axis
 from toolkit.types import LinearImage, ProfileFit, ProfileFlag, Profiles
 from toolkit.uncertainty import covariances
+from toolkit.view import StreakView, observe_streak
 
-PROFILE_REACH = 1.35
+PROFILE_REACH = 1.5
 """Half widths that a profile extends to either side, and 4 px more."""
 FIRST_LOOK = 8
-"""Profiles to a half width that the first pass looks at, about."""
+"""Profiles to a half width in the first look, about; the second look takes one every px."""
 START_TOLERANCE = 0.2
-"""Of the search in standard deviations: the refinement that follows needs no better start."""
+"""Standard deviations to which profiles are searched: the refinement needs no better start."""
 REFINEMENTS = 2
 """Rounds in which profiles are fitted about the smooth course of all of them."""
 MISFIT = 2.0
-"""Chi-square per degree of freedom beyond which the ball is not of one colour, or the background has changed."""
+"""Chi-square per degree of freedom beyond which the ball is not of one colour."""
 SHADING = 0.3
 """Standard deviation of the skew that shading may cause."""
 CORNER = math.radians(40)
-"""Turn of the axis within two half widths beyond which the path has a corner."""
+"""Turn of the axis over two half widths, radians, beyond which the path has a corner."""
 END_MARGIN = 2.0
 """px beyond the ball's first and last image in which profiles are still left out."""
 
@@ -63,8 +63,8 @@ def measure(
 ) -> Measurement:
     """Measure position, direction, speed and path of the ball in one motion-blurred picture.
 
-    Source: Caglioti & Giusti 2007, section 5. Deviations: each stage's module names its own; the streak's ends, which the paper
-    leaves out, place the ball along its path.
+    Source: Caglioti & Giusti 2007, section 5. Deviations: each stage's module names its own; the
+    streak's ends, which the paper leaves out, place the ball along its path.
 
     Args:
         image: the shot, linear light, B = 1.
@@ -78,7 +78,8 @@ def measure(
         roi: left, top, width, height in px to search in.
 
     Returns:
-        Measurement of the branch that moves right in the picture, or down, or away; the other sign is listed beside it.
+        Measurement of the branch that moves right in the picture, or down, or away; the other sign
+        is listed beside it.
 
     Raises:
         ConfigError: when a number is not positive and finite, or the region lies outside.
@@ -88,17 +89,17 @@ def measure(
     _check_numbers(ball_radius, ball_radius_std, exposure, exposure_std)
     check_pair(image, background)
     camera = fit_camera(camera, image)
-    laps = [time.perf_counter()]
+    watch = _Stopwatch()
 
     view = observe_streak(image, background, estimator, roi)
-    laps.append(time.perf_counter())
+    watch.lap("streak")
     fit = fit_streak(view, estimator)
     contours, fit = smooth_contours(fit)
-    laps.append(time.perf_counter())
+    watch.lap("profiles")
     axis = reconstruct_axis(fit, contours, camera, ball_radius)
-    laps.append(time.perf_counter())
+    watch.lap("axis")
     found = follow_motion(view, estimator, camera, ball_radius, fit, contours, axis)
-    laps.append(time.perf_counter())
+    watch.lap("motion")
     uncertainty = covariances(
         found,
         camera,
@@ -106,36 +107,34 @@ def measure(
         ball_radius_std=ball_radius_std,
         exposure_std_share=exposure_std / exposure if exposure else 0.0,
     )
-    laps.append(time.perf_counter())
+    watch.lap("uncertainty")
 
     result = describe(
         found, uncertainty, ball_radius=ball_radius, exposure=exposure, drift=view.drift
     )
-    stages = ("streak", "profiles", "axis", "motion", "uncertainty")
-    timing = {stage: laps[i + 1] - laps[i] for i, stage in enumerate(stages)}
-    return replace(result, timing_s=timing)
+    return replace(result, timing_s=watch.seconds)
 
 
 def fit_streak(view: StreakView, estimator: AlphaEstimator) -> ProfileFit:
     """Fit all profiles of the streak, those that touch the ball's first or last image flagged END.
 
-    A first pass about the rough axis finds the middle of the streak; profiles are then laid square
-    to it and fitted again, last of all about the smooth course of all of them. Where the ball is
-    visibly not of one colour, noise is taken to be as large as the misfit, and the opacity may rise
-    from one side to the other as shading makes it.
+    A first look at some profiles across the rough axis finds the middle of the streak; profiles are
+    then laid square to it, one every px, and fitted again, last of all about the smooth course of
+    all of them. Where the ball is visibly not of one colour, noise is taken to be as large as the
+    misfit, and the opacity may rise from one side to the other as shading makes it.
+
+    Raises:
+        StreakError: when too few profiles are good, or the path turns a corner.
     """
     axis, half_width, excess = view.streak.axis, view.streak.half_width, 1.0
-    for blur_rounds in (1, BLUR_ROUNDS):
+    first_step = max(1, int(float(half_width) / FIRST_LOOK))
+    for every, blur_rounds in ((first_step, 1), (1, BLUR_ROUNDS)):
         reach = PROFILE_REACH * float(half_width) + 4
-        every = max(1, int(float(half_width) / FIRST_LOOK)) if blur_rounds == 1 else 1
         profiles = gather_profiles(
             view.observation, view.clipped, axis, reach, corner=view.corner, every=every
         )
-        bend = axis_bend(profiles) * half_width[:, None] / 2
-        fit, skew, excess = _fit_as_seen(profiles, estimator, half_width, bend, excess, blur_rounds)
-        half_width = _median_half_width(fit)[None]
-        weight = torch.where(fit.good[0], 1 / fit.covariance[0, :, 0, 0], 0)
-        axis = refine_axis(fit.middle[0], weight, fit.position[0], orders(fit))
+        fit, skew, excess = _fit_as_seen(profiles, estimator, half_width, excess, blur_rounds)
+        axis, half_width = _middle_line(fit), _median_half_width(fit)
     _check_corner(profiles, int(half_width))
     profiles = replace(profiles, variance=profiles.variance * excess)
     for _ in range(REFINEMENTS):
@@ -148,17 +147,25 @@ def _fit_as_seen(
     profiles: Profiles,
     estimator: AlphaEstimator,
     half_width: Tensor,
-    bend: Tensor,
     excess: float,
     blur_rounds: int,
 ) -> tuple[ProfileFit, Skew, float]:
-    """Fit profiles with noise as large as their misfit: the model's own where it is right.
+    """Fit profiles, and once more with noise as large as their misfit where one colour fails.
+
+    Args:
+        profiles: laid across the axis.
+        estimator: of the ball's opacity.
+        half_width: rough, px [1].
+        excess: by how much the misfit was seen to exceed the noise before, as a variance; else 1.
+        blur_rounds: how often the blur is improved.
 
     Returns:
-        The fit, the skew it assumed, and by how much the variance exceeds that of the noise.
+        The fit, the skew it assumed, and the excess.
     """
+    # a bent axis is covered for longer on its inner side: skew = half width / (2 bending radius)
+    bend_skew = axis_bend(profiles) * half_width[:, None] / 2
     while True:
-        skew = Skew(mean=bend, std=KNOWN_SKEW if excess == 1 else SHADING)
+        skew = Skew(mean=bend_skew, std=KNOWN_SKEW if excess == 1 else SHADING)
         widened = replace(profiles, variance=profiles.variance * excess)
         fit = fit_profiles(
             widened,
@@ -176,8 +183,15 @@ def _fit_as_seen(
         excess = misfit
 
 
+def _middle_line(fit: ProfileFit) -> Tensor:
+    """Smooth axis through the centres of the good profiles [1, N, 2] px."""
+    weight = torch.where(fit.good[0], 1 / fit.covariance[0, :, 0, 0], 0)
+    return refine_axis(fit.middle[0], weight, fit.position[0], orders(fit))
+
+
 def _median_half_width(fit: ProfileFit) -> Tensor:
-    return fit.half_width[0][fit.good[0]].median()
+    """Median over the good profiles [1] px."""
+    return fit.half_width[0][fit.good[0]].median()[None]
 
 
 def _median_chi2(fit: ProfileFit) -> float:
@@ -187,7 +201,10 @@ def _median_chi2(fit: ProfileFit) -> float:
 
 
 def _mark_ends(fit: ProfileFit) -> ProfileFit:
-    """Flag the profiles that meet the ball's first or last image: no semi-ellipse is expected there [paper, section 2]."""
+    """Flag the profiles that meet the ball's first or last image.
+
+    No semi-ellipse is expected there (Caglioti & Giusti 2007, section 2).
+    """
     first, last = rough_ends(fit)
     middle = (fit.position > first) & (fit.position < last)
     usable = middle & fit.good
@@ -204,9 +221,24 @@ def _check_corner(profiles: Profiles, reach: int) -> None:
     if len(turn) and float(turn.min()) < math.cos(CORNER):
         x, y = origin[int(turn.argmin()) + reach].tolist()
         raise StreakError(
-            f"the path turns a corner near ({x:.0f}, {y:.0f}) px, as at a bounce, where its contours "
-            "do not tell where the ball was; expose so that the bounce lies outside the exposure"
+            f"the path turns a corner near ({x:.0f}, {y:.0f}) px, as at a bounce, where its "
+            "contours do not tell where the ball was; expose so that the bounce lies outside the "
+            "exposure"
         )
+
+
+class _Stopwatch:
+    """How long each stage took."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._since = time.perf_counter()
+
+    def lap(self, stage: str) -> None:
+        """Note the time since the last stage ended."""
+        now = time.perf_counter()
+        self.seconds[stage] = now - self._since
+        self._since = now
 
 
 def _check_numbers(

@@ -30,9 +30,9 @@ from toolkit.motion import (
     fit_pace,
     make_clock,
 )
-from toolkit.view import StreakView
-from toolkit.splines import SIZES, fit_spline, up_to
+from toolkit.splines import SIZES, up_to
 from toolkit.types import Contours, CrossSections, ProfileFit
+from toolkit.view import StreakView
 
 CLOCK_MARGIN = 4.0
 """Half widths beyond the rough ends up to which time along the path is followed."""
@@ -54,8 +54,8 @@ class Reconstruction:
 def place_ball(contours: Contours, camera: Camera, ball_radius: float) -> CrossSections:
     """Place the ball for every pair of coupled contour points.
 
-    Source: Caglioti & Giusti 2007, section 5, "3D reconstruction". Deviation: the coupled point is taken to the nearest contour
-    sample.
+    Source: Caglioti & Giusti 2007, section 5, "3D reconstruction". Deviation: the coupled point is
+    taken to the nearest contour sample.
     """
     rays = camera.unproject(contours.points)
     tangents = (camera.J_unproject(contours.points) @ contours.tangents[..., None])[..., 0]
@@ -72,8 +72,8 @@ def reconstruct_axis(
 ) -> AxisFit:
     """Find the path of the ball's centre from the contours of the whole streak.
 
-    The closed forms of the paper (a straight axis from two planes, or cross sections from coupled points) give the depth to start
-    from; one smooth curve then explains the edges of all profiles.
+    Cross sections from coupled points, or a straight axis from two planes where too few points are
+    coupled, give the depth to start from; one smooth curve then explains the edges of all profiles.
 
     Raises:
         StreakError: when the contours belong to no ball in front of the camera.
@@ -119,7 +119,7 @@ def follow_motion(
     contours: Contours,
     axis: AxisFit,
 ) -> Reconstruction:
-    """Find how fast the ball passed along its path, and where it was when the exposure began and ended."""
+    """Find how fast the ball went along its path, and where the exposure began and ended."""
     opacity = opacity_data(fit, along_axis(fit, camera), camera)
     pace_sizes = up_to(1 + length_in_widths(fit) / 1.5, RATE_SIZES)
     pace = fit_pace(axis.curve, opacity, ball_radius, pace_sizes)
@@ -171,7 +171,7 @@ def _edges(fit: ProfileFit, s: Tensor) -> Edges:
 
 
 def _rough_depth(contours: Contours, camera: Camera, ball_radius: float) -> Tensor:
-    """One depth to start from, m: from coupled points where there are some, else from the two planes."""
+    """Give one depth, m: of coupled points where there are some, else of the two planes' axis."""
     depth = place_ball(contours, camera, ball_radius).centre[:, 2]
     if len(depth) < 3:
         rays = camera.unproject(contours.points)
@@ -180,7 +180,8 @@ def _rough_depth(contours: Contours, camera: Camera, ball_radius: float) -> Tens
     middle = depth.median()
     if not bool(torch.isfinite(middle)) or float(middle) <= ball_radius:
         raise StreakError(
-            "the streak's contours belong to no ball in front of the camera; check camera file and ball radius"
+            "the streak's contours belong to no ball in front of the camera; "
+            "check camera file and ball radius"
         )
     return middle
 
@@ -189,7 +190,8 @@ def _check_axis(axis: AxisFit, s: Tensor, ball_radius: float) -> None:
     depth = axis.curve(s)[:, 2]
     if not axis.converged or not bool((torch.isfinite(depth) & (depth > ball_radius)).all()):
         raise StreakError(
-            "no smooth path explains the streak's contours; check camera file, background and ball radius"
+            "no smooth path explains the streak's contours; "
+            "check camera file, background and ball radius"
         )
     if not bool(torch.isfinite(axis.covariance).all()):
         raise StreakError(

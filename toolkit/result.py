@@ -1,8 +1,6 @@
 """Turning what was found into a `Measurement`: both signs, budget, cautions, plain numbers."""
 
-import math
 from dataclasses import replace
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -20,13 +18,15 @@ from toolkit.measurement import (
     Sign,
     numbers,
 )
+from toolkit.motion import Motion
 from toolkit.reconstruction import Reconstruction
-from toolkit.uncertainty import DURATION, PATH, SPEED, Uncertainty
+from toolkit.types import ProfileFit
+from toolkit.uncertainty import DEPTH, DURATION, PATH, SPEED, Uncertainty
 
 DISAGREEMENT = 0.02
-"""Least relative difference between the speeds from opacity and from the ends that is worth a warning."""
+"""Relative difference between the speeds from opacity and ends from which a warning is due."""
 MISFIT = 3.0
-"""Chi-square per degree of freedom of the profiles beyond which the model is visibly not the whole truth."""
+"""Chi-square per degree of freedom of the profiles beyond which a warning is due."""
 
 
 def describe(
@@ -46,85 +46,93 @@ def describe(
         exposure: s, or None.
         drift: change of the light since the background [3].
     """
-    measurement = _without_speed(found, uncertainty)
-    if exposure is not None:
-        measurement = _with_speed(measurement, found, uncertainty, exposure)
-    cautions = _cautions(found, uncertainty, ball_radius, exposure, drift)
-    return replace(measurement, warnings=cautions)
-
-
-def _without_speed(found: Reconstruction, uncertainty: Uncertainty) -> Measurement:
-    motion, total = found.motion, uncertainty.total
-    direction = motion.displacement / torch.linalg.vector_norm(motion.displacement)
-    std = total.diagonal().clamp_min(0).sqrt()
-    good = found.fit.good[0]
-    return Measurement(
+    std = uncertainty.total.diagonal().clamp_min(0).sqrt()
+    measurement = Measurement(
         stage="contours",
-        position_m=numbers(motion.position),
+        position_m=numbers(found.motion.position),
         position_std_m=numbers(std[:3]),
-        direction=numbers(direction),
-        sign=Sign(
-            ambiguous=True,
-            probability=0.5,
-            alternatives=(
-                Alternative(direction=numbers(-direction), velocity_m_s=None, probability=0.5),
-            ),
-        ),
-        trajectory=PathSamples(
-            time_s=None,
-            position_m=numbers(motion.path),
-            velocity_m_s=None,
-            position_std_m=numbers(std[PATH:].reshape(-1, 3)),
-        ),
+        direction=numbers(_unit(found.motion.displacement)),
+        sign=_open_sign(found.motion, exposure),
+        trajectory=_path(found.motion, std, exposure),
         contours=ContourPoints(
             left=numbers(found.contours.points[0]), right=numbers(found.contours.points[1])
         ),
-        profiles=ProfileTable(
-            centre_px=numbers(found.fit.middle[0]),
-            half_width_px=numbers(found.fit.half_width[0]),
-            opacity=numbers(found.fit.opacity[0]),
-            flags=numbers(found.fit.flags[0]),
+        profiles=_profile_table(found.fit),
+        budget=Budget(
+            speed=None if exposure is None else _shares(uncertainty, SPEED),
+            depth=_shares(uncertainty, DEPTH),
         ),
-        budget=Budget(speed=None, depth=_shares(uncertainty, 2)),
-        fit=FitSummary(
-            chi2_per_dof=float(found.fit.chi2_per_dof[0][good].median()),
-            pixels=int(found.fit.samples[0][good].sum()),
-            iterations=found.fit.iterations,
-        ),
+        fit=_summary(found.fit),
+        warnings=_cautions(found, uncertainty, ball_radius, exposure, drift),
     )
+    if exposure is None:
+        return measurement
+    return _with_speed(measurement, found, uncertainty, exposure)
 
 
 def _with_speed(
     measurement: Measurement, found: Reconstruction, uncertainty: Uncertainty, exposure: float
 ) -> Measurement:
-    motion = found.motion
-    velocity = motion.displacement / exposure
+    """Add what only the exposure time, s, makes known."""
+    velocity = found.motion.displacement / exposure
     scale = torch.ones(6, dtype=torch.float64)
     scale[3:] = 1 / exposure
     covariance = scale[:, None] * uncertainty.total[:6, :6] * scale
-    count = len(motion.path)
-    sign, trajectory, budget = measurement.sign, measurement.trajectory, measurement.budget
-    if sign is None or trajectory is None or budget is None:
-        raise ValueError("a measurement without speed must be complete before the speed is added")
-    alternatives = tuple(
-        replace(other, velocity_m_s=numbers(-velocity)) for other in sign.alternatives
-    )
-    speed_std = float(uncertainty.total[SPEED, SPEED].clamp_min(0).sqrt()) / exposure
     return replace(
         measurement,
         time_s=exposure / 2,
         velocity_m_s=numbers(velocity),
         speed_m_s=float(torch.linalg.vector_norm(velocity)),
-        speed_std_m_s=speed_std,
+        speed_std_m_s=float(uncertainty.total[SPEED, SPEED].clamp_min(0).sqrt()) / exposure,
         state_covariance=numbers((covariance + covariance.mT) / 2),
-        sign=replace(sign, alternatives=alternatives),
-        trajectory=replace(
-            trajectory,
-            time_s=numbers(torch.linspace(0, exposure, count, dtype=torch.float64)),
-            velocity_m_s=numbers(motion.path_displacement / exposure),
-        ),
-        budget=replace(budget, speed=_shares(uncertainty, SPEED)),
     )
+
+
+def _open_sign(motion: Motion, exposure: float | None) -> Sign:
+    """Say that the motion may as well be the reverse."""
+    reverse = Alternative(
+        direction=numbers(-_unit(motion.displacement)),
+        velocity_m_s=None if exposure is None else numbers(-motion.displacement / exposure),
+        probability=0.5,
+    )
+    return Sign(ambiguous=True, probability=0.5, alternatives=(reverse,))
+
+
+def _path(motion: Motion, std: Tensor, exposure: float | None) -> PathSamples:
+    """Sample the path; `std` is that of the state, times and velocities need the exposure."""
+    time = velocity = None
+    if exposure is not None:
+        time = numbers(torch.linspace(0, exposure, len(motion.path), dtype=torch.float64))
+        velocity = numbers(motion.path_displacement / exposure)
+    return PathSamples(
+        time_s=time,
+        position_m=numbers(motion.path),
+        velocity_m_s=velocity,
+        position_std_m=numbers(std[PATH:].reshape(-1, 3)),
+    )
+
+
+def _profile_table(fit: ProfileFit) -> ProfileTable:
+    return ProfileTable(
+        centre_px=numbers(fit.middle[0]),
+        half_width_px=numbers(fit.half_width[0]),
+        opacity=numbers(fit.opacity[0]),
+        flags=numbers(fit.flags[0]),
+    )
+
+
+def _summary(fit: ProfileFit) -> FitSummary:
+    good = fit.good[0]
+    return FitSummary(
+        chi2_per_dof=float(fit.chi2_per_dof[0][good].median()),
+        pixels=int(fit.samples[0][good].sum()),
+        iterations=fit.iterations,
+    )
+
+
+def _unit(vector: Tensor) -> Tensor:
+    length: Tensor = torch.linalg.vector_norm(vector)
+    return vector / length
 
 
 def _shares(uncertainty: Uncertainty, place: int) -> Shares:
@@ -170,24 +178,28 @@ def _cautions(
         (
             abs(duration - 1) > max(3 * duration_std, DISAGREEMENT),
             "opacity-and-ends-disagree",
-            f"the distance between the streak's ends would take {duration:.3f} of the exposure at the speed its opacity "
-            "tells; ball colour, response curve or exposure is off by about as much, and the speed's uncertainty is widened",
+            f"the distance between the streak's ends would take {duration:.3f} of the exposure at "
+            "the speed its opacity tells; ball colour, response curve or exposure is off by about "
+            "as much, and the speed's uncertainty is widened",
         ),
         (
             bend < ball_radius,
             "bends-too-sharply",
-            f"the path bends with a radius of {bend:.3g} m, less than the ball's; the contours do not fix it there",
+            f"the path bends with a radius of {bend:.3g} m, less than the ball's; "
+            "the contours do not fix it there",
         ),
         (
             misfit > MISFIT,
             "profiles-misfit",
-            f"the profiles miss the picture by {misfit:.1f} times the variance of its noise (shading, a pattern, or a "
-            "background that changed); the uncertainties are widened by as much",
+            f"the profiles miss the picture by {misfit:.1f} times the variance of its noise "
+            "(shading, a pattern, or a background that changed); "
+            "the uncertainties are widened by as much",
         ),
         (
             change > 0,
             "background-brightness",
-            f"the light changed by {100 * change:.1f} % since the background was taken; the background was scaled",
+            f"the light changed by {100 * change:.1f} % since the background was taken; "
+            "the background was scaled",
         ),
     ]
     return tuple(Caution(code=code, message=message) for is_due, code, message in checks if is_due)

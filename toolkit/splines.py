@@ -16,7 +16,8 @@ from torch import Tensor
 class SplineBasis:
     """Clamped B-spline basis on [start, stop]; outside, the ends go on as polynomials.
 
-    `continuation` bounds the degree of those: a cubic end piece, followed beyond its data, runs away.
+    `continuation` bounds the degree of those: a cubic end piece, followed beyond its data, runs
+    away.
     """
 
     start: float
@@ -55,7 +56,7 @@ def _powers(u: Tensor, degree: int, derivative: int) -> Tensor:
 
 @lru_cache(maxsize=64)
 def _taylor_table(degree: int, pieces: int, continuation: int) -> Tensor:
-    """Taylor coefficients of the basis about the start of each piece, [pieces + 2, degree + 1, K]."""
+    """Taylor coefficients of the basis about each piece's start, [pieces + 2, degree + 1, K]."""
     starts = torch.arange(pieces + 1, dtype=torch.float64)
     piece = starts.long().clamp(max=pieces - 1)
     rows = [

@@ -22,7 +22,7 @@ Mask = NDArray[np.uint8]
 Map = NDArray[np.float32]
 
 MAX_SIDE = 800
-"""px; larger pictures are reduced to this for the search, which needs no more for a whole streak."""
+"""px; larger pictures are reduced to this: the search for a whole streak needs no more."""
 SMOOTHING = 1.5
 """px of the reduced picture."""
 MIN_SIGNIFICANCE = 5.0
@@ -97,7 +97,7 @@ def find_streak(
 
 
 def refine_axis(middle: Tensor, weight: Tensor, position: Tensor, sizes: tuple[int, ...]) -> Tensor:
-    """Give a smoother axis through fitted profile centres, as long as the old one, straight beyond.
+    """Give a smoother axis through fitted profile centres, drawn on straight to the old tips.
 
     Args:
         middle: fitted centre points [P, 2] px.
@@ -136,7 +136,7 @@ def _averaged(noise: NoiseModel, factor: int) -> NoiseModel:
 
 
 def _evidence(observation: Observation, estimator: AlphaEstimator) -> tuple[Map, Map, Map]:
-    """Give opacity, its significance and the share of the change the ball's colour explains, [H, W]."""
+    """Give opacity, its significance, and the share of the change the colour explains, [H, W]."""
     alpha, variance = estimator.alpha(observation)
     information = 1 / variance
     change = observation.signal - observation.ground

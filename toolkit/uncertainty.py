@@ -9,7 +9,7 @@ from toolkit.camera import Camera
 from toolkit.motion import describe_motion, noise_covariance, propagate, repace
 from toolkit.reconstruction import Reconstruction, opacity_data, refit_axis
 
-SPEED, DURATION, PATH = 6, 7, 8
+DEPTH, SPEED, DURATION, PATH = 2, 6, 7, 8
 """Places in `Motion.state`: position and displacement come first."""
 
 
@@ -18,9 +18,7 @@ class Uncertainty:
     """Covariances of `Motion.state`, lengths in metres and displacements in metres per exposure."""
 
     noise: Tensor  # [K, K]
-    order: (
-        Tensor  # [K, K], what the next finer curve would change; zero for a straight, even motion
-    )
+    order: Tensor  # [K, K], what the next finer curve would change; 0 when straight and even
     camera: Tensor | None  # [K, K]; None when the camera file has no covariance
     radius: Tensor  # [K, K]
     exposure: Tensor  # [K, K], of the displacement per the exposure time stated
@@ -80,14 +78,15 @@ def covariances(
 def _order_covariance(found: Reconstruction, camera: Camera, ball_radius: float) -> Tensor:
     """Covariance of not knowing how far a bent path or an uneven pace goes on bending.
 
-    The order was chosen by the same data; what one more coefficient each would change is taken for one standard deviation. [derived]
+    The order was chosen by the same data; what two more coefficients each would change is taken for
+    one standard deviation. [derived]
     """
     state, curve = found.motion.state(), found.axis.curve
     is_simple = len(curve.image) == 2 and len(curve.inverse_depth) == 2
     if is_simple and found.pace.basis.size == 1:
         return torch.zeros(len(state), len(state), dtype=state.dtype)
-    finer = refit_axis(found, camera, ball_radius, extra=1)
-    basis = replace(found.pace.basis, size=found.pace.basis.size + 1)
+    finer = refit_axis(found, camera, ball_radius, extra=2)
+    basis = replace(found.pace.basis, size=found.pace.basis.size + 2)
     pace = repace(finer, found.opacity, replace(found.pace, basis=basis), ball_radius)
     change = describe_motion(finer, pace, found.ends.s).state() - state
     return torch.outer(change, change)

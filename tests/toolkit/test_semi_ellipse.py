@@ -27,9 +27,7 @@ def as_tensors(*values):
     return tuple(torch.tensor(value, dtype=torch.float64) for value in values)
 
 
-def averaged_by_hand(
-    offset, centre, half_width, opacity, skew, blur, bend=0.0, samples=20_001
-):
+def averaged_by_hand(offset, centre, half_width, opacity, skew, blur, bend=0.0, samples=20_001):
     """The paper's semi-ellipse, bent by the skew, its mean over the window taken numerically."""
     window = WINDOW_PER_BLUR * blur
     at = offset + window * ((np.arange(samples) + 0.5) / samples - 0.5)

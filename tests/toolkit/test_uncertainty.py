@@ -42,7 +42,13 @@ def of(streak, radius_share=0.0, exposure_share=0.0, camera=None):
 def test_shapes_and_total(streak):
     uncertainty = of(streak, 0.01, 0.02)
     size = 8 + 3 * PATH_POINTS
-    parts = (uncertainty.noise, uncertainty.radius, uncertainty.exposure, uncertainty.brightness)
+    parts = (
+        uncertainty.noise,
+        uncertainty.order,
+        uncertainty.radius,
+        uncertainty.exposure,
+        uncertainty.brightness,
+    )
     assert all(part.shape == (size, size) for part in parts)
     assert uncertainty.camera is None
     assert torch.allclose(uncertainty.total, sum(parts))
