@@ -25,7 +25,7 @@ def calibrate(
         typer.Option("--images", metavar="PHOTO...", help="Photos of a checkerboard."),
     ] = None,
     # a shell expands --images chess/*.jpg to one option and many words: these are the words
-    more: Annotated[list[str] | None, typer.Argument(hidden=True)] = None,
+    more: Annotated[list[str] | None, typer.Argument(hidden=True, metavar="PHOTO")] = None,
     board: Annotated[
         str | None,
         typer.Option(metavar="CxR", help="Inner corners, e.g. 9x6; found when not given."),
