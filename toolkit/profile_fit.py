@@ -20,6 +20,8 @@ BLUR_SETTLED = 0.02
 """px."""
 KNOWN_SKEW = 1e-3
 """Standard deviation of a skew that is known from the path's bend: as good as fixed."""
+STRAIGHT = 0.01
+"""Skew below which the bend's second order does not matter."""
 MAX_ITERATIONS = 15
 OUTLIER_SAMPLE = 3.0
 """Standard deviations beyond which a sample (dirt, text, a reflection) loses its pull."""
@@ -153,6 +155,7 @@ class _Model:
     direction: Tensor  # [E, 1] rad
     skew_mean: Tensor  # [E]
     skew_std: float
+    is_bent: bool
 
     @classmethod
     def of(
@@ -192,6 +195,7 @@ class _Model:
             direction=direction,
             skew_mean=mean.flatten(),
             skew_std=KNOWN_SKEW if skew is None else skew.std,
+            is_bent=bool((mean.abs() > STRAIGHT).any()),
         )
 
     def own_equations(self, blur: Tensor) -> Equations:
@@ -215,7 +219,7 @@ class _Model:
         own_blur = blur.repeat_interleave(len(self.offset) // len(blur))[chosen][:, None]
         centre, half_width, opacity, skew = x[:, None, :].unbind(-1)
         offset = self.offset[chosen]
-        bend = self.skew_mean[rows][:, None]
+        bend = self.skew_mean[rows][:, None] if self.is_bent else None
         alpha, J_alpha = semi_ellipse_and_J(
             offset, centre, half_width, opacity, skew, own_blur, bend
         )

@@ -27,7 +27,7 @@ def semi_ellipse(
     opacity: Tensor,
     skew: Tensor,
     blur: Tensor,
-    bend: Tensor | float = 0.0,
+    bend: Tensor | None = None,
 ) -> Tensor:
     """Give the opacity at each offset across the streak.
 
@@ -38,7 +38,7 @@ def semi_ellipse(
         opacity: k, alpha at the centre of an unsmoothed profile.
         skew: relative rise of the opacity from the centre to the right edge, to first order.
         blur: standard deviation of the averaging window, px, positive.
-        bend: half width over twice the path's bending radius; only its square matters here.
+        bend: half width over twice the path's bending radius; None where it is straight.
 
     Returns:
         alpha, of the broadcast shape.
@@ -53,7 +53,7 @@ def semi_ellipse_and_J(
     opacity: Tensor,
     skew: Tensor,
     blur: Tensor,
-    bend: Tensor | float = 0.0,
+    bend: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Give `semi_ellipse`, and its derivatives in (centre, ... blur), in their order [..., 5]."""
     half_window = blur * (WINDOW_PER_BLUR / 2)
@@ -62,14 +62,17 @@ def semi_ellipse_and_J(
     height_upper = (1 - upper * upper).sqrt()
     height_lower = (1 - lower * lower).sqrt()
     area_upper, area_lower = _area(upper, height_upper), _area(lower, height_lower)
-    lean = (height_lower**3 - height_upper**3) / 3  # integral of s sqrt(1 - s^2)
-    squares = (area_upper - area_lower) / 4 - (
-        upper * height_upper**3 - lower * height_lower**3
-    ) / 4
-    bow = 4 / 3 * squares + (area_upper - area_lower) / 6  # of (3/2 s^2 + (1 - s^2) / 6) times it
-    area = area_upper - area_lower + skew * lean + bend * bend * bow
-    rise_upper = height_upper * (1 + skew * upper + bend * bend * (8 * upper * upper + 1) / 6)
-    rise_lower = height_lower * (1 + skew * lower + bend * bend * (8 * lower * lower + 1) / 6)
+    cube_upper, cube_lower = height_upper**2 * height_upper, height_lower**2 * height_lower
+    lean = (cube_lower - cube_upper) / 3  # integral of s sqrt(1 - s^2)
+    area = area_upper - area_lower + skew * lean
+    factor_upper, factor_lower = 1 + skew * upper, 1 + skew * lower
+    if isinstance(bend, Tensor):
+        squares = (area_upper - area_lower - upper * cube_upper + lower * cube_lower) / 4
+        bow = 4 / 3 * squares + (area_upper - area_lower) / 6  # of (8 s^2 + 1) / 6
+        area = area + bend**2 * bow
+        factor_upper = factor_upper + bend**2 * (8 * upper * upper + 1) / 6
+        factor_lower = factor_lower + bend**2 * (8 * lower * lower + 1) / 6
+    rise_upper, rise_lower = height_upper * factor_upper, height_lower * factor_lower
     per_window = 1 / (2 * half_window)
     alpha_per_opacity = half_width * area * per_window
     alpha = opacity * alpha_per_opacity
