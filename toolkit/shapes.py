@@ -1,6 +1,5 @@
 """Shape checks for the public border; inside, shapes are trusted."""
 
-import torch
 from torch import Tensor
 
 from toolkit.errors import ShapeError
@@ -19,6 +18,7 @@ def check_shape(name: str, tensor: Tensor, *shape: int | str) -> None:
         ShapeError: when the number of axes or a length disagrees.
 
     Example:
+        >>> import torch
         >>> check_shape("points", torch.zeros(4, 7, 2), "B", "N", 2)
     """
     lengths: dict[str, int] = {}
@@ -29,8 +29,3 @@ def check_shape(name: str, tensor: Tensor, *shape: int | str) -> None:
     if not agrees:
         wanted_text = ", ".join(str(w) for w in shape)
         raise ShapeError(f"{name} has shape {list(tensor.shape)}, but [{wanted_text}] is needed")
-
-
-def as_double(values: object) -> Tensor:
-    """Return `values` as a float64 tensor on its own device: geometry is solved in float64."""
-    return torch.as_tensor(values).to(torch.float64)

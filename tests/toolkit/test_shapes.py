@@ -1,9 +1,8 @@
-import numpy as np
 import pytest
 import torch
 
 from toolkit.errors import ShapeError
-from toolkit.shapes import as_double, check_shape
+from toolkit.shapes import check_shape
 
 
 def test_letters_stand_for_any_length():
@@ -32,10 +31,3 @@ def test_one_letter_stands_for_one_length():
     check_shape("square", torch.zeros(3, 3), "N", "N")
     with pytest.raises(ShapeError, match="square"):
         check_shape("square", torch.zeros(3, 4), "N", "N")
-
-
-@pytest.mark.parametrize("values", [[1, 2], np.float32([1, 2]), torch.tensor([1, 2])])
-def test_as_double(values):
-    doubled = as_double(values)
-    assert doubled.dtype == torch.float64
-    assert doubled.tolist() == [1.0, 2.0]
