@@ -27,7 +27,7 @@ from toolkit.profiles import axis_bend, gather_profiles
 from toolkit.reconstruction import follow_motion, reconstruct_axis
 from toolkit.result import describe
 from toolkit.streak import ROI, refine_axis
-from toolkit.types import LinearImage, ProfileFit, ProfileFlag, Profiles
+from toolkit.types import Contours, LinearImage, ProfileFit, ProfileFlag, Profiles
 from toolkit.uncertainty import covariances
 from toolkit.view import StreakView, observe_streak
 
@@ -95,6 +95,7 @@ def measure(
     watch.lap("streak")
     fit = fit_streak(view, estimator)
     contours, fit = smooth_contours(fit)
+    _check_contours_inside(contours, image)
     watch.lap("profiles")
     axis = reconstruct_axis(fit, contours, camera, ball_radius)
     watch.lap("axis")
@@ -224,6 +225,18 @@ def _check_corner(profiles: Profiles, reach: int) -> None:
             f"the path turns a corner near ({x:.0f}, {y:.0f}) px, as at a bounce, where its "
             "contours do not tell where the ball was; expose so that the bounce lies outside the "
             "exposure"
+        )
+
+
+def _check_contours_inside(contours: Contours, image: LinearImage) -> None:
+    """Raise `StreakError` where a contour runs along or over the picture's border."""
+    border = torch.tensor([image.width - 1, image.height - 1], dtype=contours.points.dtype)
+    is_inside = ((contours.points > 0) & (contours.points < border)).all(-1)
+    if not bool(is_inside.all()):
+        x, y = contours.points[~is_inside][0].tolist()
+        raise StreakError(
+            f"the streak leaves the picture along its side near ({x:.0f}, {y:.0f}) px, so that its "
+            "width is not seen; aim so that the whole streak is inside"
         )
 
 

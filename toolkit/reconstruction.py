@@ -78,6 +78,10 @@ def reconstruct_axis(
     Raises:
         StreakError: when the contours belong to no ball in front of the camera.
     """
+    if not bool(torch.isfinite(camera.undistort(fit.edges[0])).all()):
+        raise StreakError(
+            "the camera's distortion cannot be inverted at the streak; check the camera file"
+        )
     s = along_axis(fit, camera)
     good = fit.good[0].to(torch.float64)
     depth = _rough_depth(contours, camera, ball_radius)

@@ -82,7 +82,9 @@ def find_streak(
         (significance > MIN_SIGNIFICANCE) & (opacity > MIN_OPACITY) & (likeness > MIN_LIKENESS)
     ).astype(np.uint8)
     if roi is not None:
-        found &= _roi_mask(roi, image, factor, found.shape)
+        region = _roi_mask(roi, image, factor, found.shape)
+        found &= region
+        significance = significance * region
     candidates = sorted(_candidates(found, opacity, likeness), key=lambda c: c.score, reverse=True)
     if not candidates:
         raise StreakError(_why_nothing(found, significance))

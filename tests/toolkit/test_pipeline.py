@@ -173,3 +173,24 @@ def test_impossible_numbers_are_named(shot, change):
     name = next(iter(change)).replace("_", " ")
     with pytest.raises(ConfigError, match=name):
         run(shot, **change)
+
+
+def test_a_streak_along_the_border_is_refused():
+    scene = benchmark_scene(width_px=30, length_widths=5, heading=0.0, seed=4)
+    level = render_shot(scene, seed=4)
+    # cuts through the ball's image all along a level streak
+    top = int(level.scene.camera.project(level.position)[1]) - 4
+    size = (0, top, level.image.width, level.image.height - top)
+    with pytest.raises(StreakError, match="leaves the picture"):
+        run(
+            level,
+            image=level.image.window(*size),
+            background=level.background.window(*size),
+            camera=scene.camera.cropped(*size),
+        )
+
+
+def test_a_camera_without_an_inverse_is_refused(shot):
+    wild = replace(shot.scene.camera, distortion=(0.1, 0.2, 0.0, 0.0, -5e9))
+    with pytest.raises(StreakError, match="distortion cannot be inverted"):
+        run(shot, camera=wild)
