@@ -78,7 +78,7 @@ def reconstruct_axis(
     Raises:
         StreakError: when the contours belong to no ball in front of the camera.
     """
-    if not bool(torch.isfinite(camera.undistort(fit.edges[0])).all()):
+    if not bool(torch.isfinite(camera.undistort(fit.edges[0][fit.good[0]])).all()):
         raise StreakError(
             "the camera's distortion cannot be inverted at the streak; check the camera file"
         )
@@ -87,7 +87,7 @@ def reconstruct_axis(
     depth = _rough_depth(contours, camera, ball_radius)
     focal = (camera.fx + camera.fy) / 2
     centre_weight = good * focal**2 / fit.covariance[0, :, 0, 0]
-    centres = camera.undistort(fit.middle[0])
+    centres = camera.undistort(_middle(fit))
     widths = length_in_widths(fit)
     start = start_curve(
         centres, s, centre_weight, depth.expand_as(s), good, up_to(3 + widths, SIZES)
@@ -107,7 +107,7 @@ def refit_axis(
     """
     fit, curve, s = found.fit, found.axis.curve, found.opacity.s
     weight = fit.good[0] / fit.covariance[0, :, 0, 0]
-    centres = camera.undistort(fit.middle[0])
+    centres = camera.undistort(_middle(fit))
     basis = replace(curve.image_basis, size=curve.image_basis.size + extra)
     start = start_curve_on(basis, centres, s, weight, curve.depth_basis, curve.inverse_depth)
     size = len(curve.inverse_depth) + extra
@@ -157,17 +157,22 @@ def opacity_data(fit: ProfileFit, s: Tensor, camera: Camera) -> OpacityData:
     """Gather what the pace is found from."""
     return OpacityData(
         s=s,
-        rays=camera.unproject(fit.middle[0]),
+        rays=camera.unproject(_middle(fit)),
         opacity=fit.opacity[0],
         covariance=fit.covariance[0],
         weight=fit.good[0].to(torch.float64),
     )
 
 
+def _middle(fit: ProfileFit) -> Tensor:
+    """Centres of the good profiles, origins of the others [P, 2] px: a lens can invert both."""
+    return torch.where(fit.good[0][:, None], fit.middle[0], fit.origin[0])
+
+
 def _edges(fit: ProfileFit, s: Tensor) -> Edges:
     return Edges(
         s=s,
-        pixels=fit.edges[0],
+        pixels=torch.where(fit.good[0][:, None, None], fit.edges[0], fit.origin[0][:, None]),
         normal=fit.normal[0],
         covariance=fit.covariance[0, :, :2, :2],
         weight=fit.good[0].to(torch.float64),
