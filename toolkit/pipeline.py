@@ -165,7 +165,7 @@ def _fit_as_seen(
     """
     # a bent axis is covered for longer on its inner side: skew = half width / (2 bending radius)
     bend_skew = axis_bend(profiles) * half_width[:, None] / 2
-    while True:
+    for is_last in (False, True):
         skew = Skew(mean=bend_skew, std=KNOWN_SKEW if excess == 1 else SHADING)
         widened = replace(profiles, variance=profiles.variance * excess)
         fit = fit_profiles(
@@ -178,10 +178,11 @@ def _fit_as_seen(
         )
         fit = _mark_ends(fit)
         misfit = excess * _median_chi2(fit)
-        if excess > 1 or misfit <= MISFIT:
-            check_enough(fit.good[0], fit.flags[0])
-            return fit, skew, excess
+        if is_last or excess > 1 or misfit <= MISFIT:
+            break
         excess = misfit
+    check_enough(fit.good[0], fit.flags[0])
+    return fit, skew, excess
 
 
 def _middle_line(fit: ProfileFit) -> Tensor:

@@ -168,7 +168,7 @@ def _option_kinds(name: str, estimator: type[AlphaEstimator]) -> dict[str, Any]:
     """Give the type of each field that can be set."""
     try:
         hints = get_type_hints(estimator)
-    except Exception as error:
+    except Exception as error:  # a stranger's code may raise anything
         raise PluginError(
             f"estimator '{name}' has a field type that cannot be read ({one_line(error)}); "
             "its author must correct it"
@@ -183,7 +183,7 @@ def _make(
         return estimator(**values)
     except ToolkitError:
         raise
-    except Exception as error:
+    except Exception as error:  # a stranger's code may raise anything
         reason = f"{type(error).__name__}: {one_line(error)}"
         raise PluginError(
             f"estimator '{name}' does not accept its values ({reason}); correct them, or report "
