@@ -25,7 +25,7 @@ from toolkit.uncertainty import DEPTH, DURATION, PATH, SPEED, Uncertainty
 
 DISAGREEMENT = 0.02
 """Relative difference between the speeds from opacity and ends from which a warning is due."""
-MISFIT = 3.0
+WARNED_MISFIT = 3.0
 """Chi-square per degree of freedom of the profiles beyond which a warning is due."""
 
 
@@ -189,7 +189,7 @@ def _cautions(
             "the contours do not fix it there",
         ),
         (
-            misfit > MISFIT,
+            misfit > WARNED_MISFIT,
             "profiles-misfit",
             f"the profiles miss the picture by {misfit:.1f} times the variance of its noise "
             "(shading, a pattern, or a background that changed); "
