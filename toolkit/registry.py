@@ -10,12 +10,14 @@ from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
 from importlib import metadata
 from importlib.metadata import EntryPoint
-from typing import Any, get_type_hints
+from typing import TYPE_CHECKING, Any, get_type_hints
 
-from toolkit.alpha import API_VERSION, AlphaEstimator
 from toolkit.errors import ConfigError, PluginError, ToolkitError
 from toolkit.files import one_line
 from toolkit.option_text import parse_option
+
+if TYPE_CHECKING:  # it brings torch, which a list of names does not need
+    from toolkit.alpha import AlphaEstimator
 
 GROUP = "toolkit.alpha_estimators"
 NAME_PATTERN = re.compile(r"[a-z][a-z0-9_-]{0,40}")
@@ -45,7 +47,7 @@ def installed() -> tuple[PluginInfo, ...]:
     return tuple(_info(point, claims=names.count(point.name)) for point in points)
 
 
-def load(name: str) -> type[AlphaEstimator]:
+def load(name: str) -> "type[AlphaEstimator]":
     """Import the one estimator called `name`.
 
     Raises:
@@ -68,7 +70,9 @@ def load(name: str) -> type[AlphaEstimator]:
     return estimator
 
 
-def build(name: str, *, given: Mapping[str, object], options: Mapping[str, str]) -> AlphaEstimator:
+def build(
+    name: str, *, given: Mapping[str, object], options: Mapping[str, str]
+) -> "AlphaEstimator":
     """Make the estimator called `name`.
 
     Args:
@@ -96,7 +100,7 @@ def build(name: str, *, given: Mapping[str, object], options: Mapping[str, str])
 
 
 def missing_fields(
-    estimator: type[AlphaEstimator], values: Mapping[str, object]
+    estimator: "type[AlphaEstimator]", values: Mapping[str, object]
 ) -> tuple[str, ...]:
     """Say in the user's words which required fields of `estimator` are not among `values`."""
     return tuple(
@@ -148,6 +152,8 @@ def _owner(point: EntryPoint) -> str:
 
 def _contract_problem(loaded: Any) -> str | None:
     """Say what keeps a loaded object from being an estimator, None when nothing does."""
+    from toolkit.alpha import API_VERSION, AlphaEstimator
+
     if not isinstance(loaded, type) or not issubclass(loaded, AlphaEstimator):
         return "is not a subclass of toolkit.AlphaEstimator; its author must derive it from that"
     if inspect.isabstract(loaded):
@@ -164,7 +170,7 @@ def _contract_problem(loaded: Any) -> str | None:
     return None
 
 
-def _option_kinds(name: str, estimator: type[AlphaEstimator]) -> dict[str, Any]:
+def _option_kinds(name: str, estimator: "type[AlphaEstimator]") -> dict[str, Any]:
     """Give the type of each field that can be set."""
     try:
         hints = get_type_hints(estimator)
@@ -177,8 +183,8 @@ def _option_kinds(name: str, estimator: type[AlphaEstimator]) -> dict[str, Any]:
 
 
 def _make(
-    name: str, estimator: type[AlphaEstimator], values: Mapping[str, object]
-) -> AlphaEstimator:
+    name: str, estimator: "type[AlphaEstimator]", values: Mapping[str, object]
+) -> "AlphaEstimator":
     try:
         return estimator(**values)
     except ToolkitError:
