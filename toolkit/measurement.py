@@ -146,7 +146,7 @@ class Measurement:
     status: str = "ok"  # or "refused"
     reason: str | None = None  # why it was refused
     inputs: Inputs = field(default_factory=Inputs)
-    estimator: str | None = None
+    estimator: str | None = None  # as it is declared; else its class, in lower case with hyphens
     stage: str | None = None  # "contours": the last stage that shaped the result
     time_s: float | None = None  # of the state; None without an exposure time
     position_m: Vector | None = None

@@ -25,6 +25,7 @@ from toolkit.measurement import Measurement
 from toolkit.profile_fit import BLUR_ROUNDS, KNOWN_SKEW, Skew, fit_profiles, refine_profiles
 from toolkit.profiles import axis_bend, gather_profiles
 from toolkit.reconstruction import follow_motion, reconstruct_axis
+from toolkit.registry import name_of
 from toolkit.result import describe
 from toolkit.streak import ROI, refine_axis
 from toolkit.types import Contours, LinearImage, ProfileFit, ProfileFlag, Profiles
@@ -113,7 +114,7 @@ def measure(
     result = describe(
         found, uncertainty, ball_radius=ball_radius, exposure=exposure, drift=view.drift
     )
-    return replace(result, timing_s=watch.seconds)
+    return replace(result, estimator=name_of(type(estimator)), timing_s=watch.seconds)
 
 
 def fit_streak(view: StreakView, estimator: AlphaEstimator) -> ProfileFit:

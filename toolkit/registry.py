@@ -99,6 +99,21 @@ def build(
     return _make(name, estimator, values)
 
 
+def name_of(estimator: "type[AlphaEstimator]") -> str:
+    """Give the name an estimator is declared by, or that of its class in lower case with hyphens.
+
+    Example:
+        >>> class TwoColour: ...
+        >>> name_of(TwoColour)
+        'two-colour'
+    """
+    target = f"{estimator.__module__}:{estimator.__qualname__}"
+    for point in metadata.entry_points(group=GROUP):
+        if point.value == target:
+            return point.name
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", estimator.__name__).lower()
+
+
 def missing_fields(
     estimator: "type[AlphaEstimator]", values: Mapping[str, object]
 ) -> tuple[str, ...]:

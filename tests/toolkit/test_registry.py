@@ -32,6 +32,13 @@ class Good(Base):
 )
 
 
+def test_an_estimator_is_named_as_it_is_declared_or_by_its_class(declare):
+    declare(GOOD, "very-good = :Good")
+    estimator = registry.load("very-good")
+    assert registry.name_of(estimator) == "very-good"
+    assert registry.name_of(type("HalfMatte", (estimator,), {})) == "half-matte"
+
+
 def make(**options: str) -> AlphaEstimator:
     return registry.build("good", given={"colour": (0.1, 0.2, 0.3), "colours": ()}, options=options)
 
