@@ -23,8 +23,8 @@ UNDISTORT_STEPS = 12
 class Camera:
     """A pinhole camera with polynomial (4 or 5 coefficients) or rational (8) distortion.
 
-    Source: the OpenCV camera model. `covariance` is that of [fx fy cx cy, distortion...], None when
-    unknown.
+    Source: the OpenCV camera model. `covariance` is that of [fx fy cx cy, distortion...]: None
+    when unknown, zero when the camera is known exactly.
     """
 
     MODELS: ClassVar[dict[str, tuple[int, ...]]] = {"pinhole": (0, 4, 5), "rational": (8,)}

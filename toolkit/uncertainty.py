@@ -95,6 +95,9 @@ def _order_covariance(found: Reconstruction, camera: Camera, ball_radius: float)
 def _camera_covariance(found: Reconstruction, camera: Camera, ball_radius: float) -> Tensor | None:
     if camera.covariance is None:
         return None
+    if not bool(camera.covariance.any()):  # known exactly: no path needs refitting
+        size = len(found.motion.state())
+        return torch.zeros(size, size, dtype=torch.float64)
 
     def state(shift: Tensor) -> Tensor:
         shifted = camera.with_parameters(camera.parameters + shift)

@@ -104,6 +104,14 @@ def test_a_camera_s_covariance_enters_the_depth(shot):
     assert added**0.5 == pytest.approx(0.01 * plain.position_m[2], rel=0.05)
 
 
+def test_a_camera_known_exactly_needs_no_caution(shot):
+    camera = replace(shot.scene.camera, covariance=torch.zeros(4, 4, dtype=torch.float64))
+    result, plain = run(shot, camera=camera), run(shot)
+    assert codes(result) == set()
+    assert (result.budget.depth.camera, plain.budget.depth.camera) == (0, None)
+    assert result.state_covariance == plain.state_covariance
+
+
 def test_a_wrong_colour_shows_and_widens_the_speed(shot):
     red, green, blue = shot.scene.appearance.colour
     result = run(shot, colour=(0.8 * red, 0.8 * green, 0.8 * blue))

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -9,6 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from toolkit.camera import Camera
 from toolkit.camera_file import write_camera
 from toolkit.errors import ConfigError, EnvironmentFault
 from toolkit.files import write_text
@@ -50,7 +52,7 @@ def write_shot(
 ) -> None:
     """Write a shot, its background, rig.toml, truth.json, and what tells the camera.
 
-    That is camera.toml with the true camera or, where `boards` are given, their photos in boards/;
+    That is camera.toml with the true camera, known exactly, or, where `boards` are given, their photos in boards/;
     a calibration from them is to leave the camera.toml which the rig names.
 
     Args:
@@ -71,7 +73,8 @@ def write_shot(
     write_text(folder / "rig.toml", to_toml("rig", _rig(shot, format)))
     if boards is None:
         images = [f"shot.{format}"]
-        write_camera(folder / "camera.toml", shot.scene.camera, rms_px=0.0, views=0, images=images)
+        camera = _known_exactly(shot.scene.camera)
+        write_camera(folder / "camera.toml", camera, rms_px=0.0, views=0, images=images)
         return
     _make(folder / "boards")
     for number, board in enumerate(boards):
@@ -152,6 +155,12 @@ def truth_text(shot: RenderedShot, seed: int) -> str:
         "seed": seed,
     }
     return json.dumps(to_plain(table), allow_nan=False, indent=1) + "\n"
+
+
+def _known_exactly(camera: Camera) -> Camera:
+    """Give a camera whose covariance says that nothing about it is in doubt."""
+    size = len(camera.parameters)
+    return replace(camera, covariance=torch.zeros(size, size, dtype=torch.float64))
 
 
 def _plain_path(path: BallPath) -> dict[str, Any]:

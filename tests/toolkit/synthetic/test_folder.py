@@ -48,6 +48,7 @@ def test_rig_camera_and_truth_agree_with_the_scene(tmp_path):
     rig, scene = read_rig(tmp_path / "rig.toml"), SHOT.scene
     camera = read_camera(rig.camera)
     assert camera.parameters.tolist() == scene.camera.parameters.tolist()
+    assert camera.covariance.count_nonzero() == 0  # the true camera is known exactly
     assert rig.ball_colours == (scene.appearance.colour,)
     assert (rig.ball_radius, rig.exposure) == (scene.ball_radius, scene.exposure)
     assert rig.background == (tmp_path / "background.dng",)
