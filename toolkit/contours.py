@@ -11,6 +11,8 @@ from toolkit.types import Contours, ProfileFit, ProfileFlag
 
 MIN_PROFILES = 8
 """Good profiles between the streak's ends without which no contour can be trusted."""
+SHORTEST = 2.6
+"""Length of a streak over its width, tip to tip, from which MIN_PROFILES are good, as a rule."""
 CONTOUR_POINTS = 100
 
 
@@ -37,7 +39,7 @@ def smooth_contours(fit: ProfileFit, picture: int = 0) -> tuple[Contours, Profil
         StreakError: when too few profiles are good.
     """
     good = fit.good[picture]
-    check_enough(good, fit.flags[picture])
+    check_enough(fit, picture)
     position, covariance = fit.position[picture], fit.covariance[picture]
     sides = [_side(fit, picture, side) for side in (-1, 1)]
     is_outlier = good & ((sides[0].weight == 0) | (sides[1].weight == 0))
@@ -45,7 +47,7 @@ def smooth_contours(fit: ProfileFit, picture: int = 0) -> tuple[Contours, Profil
     rows[picture] = is_outlier
     fit = mark_profiles(fit, ProfileFlag.OUTLIER, rows)
     good = fit.good[picture]
-    check_enough(good, fit.flags[picture])
+    check_enough(fit, picture)
     at = torch.linspace(
         float(position[good].min()),
         float(position[good].max()),
@@ -72,7 +74,7 @@ def smooth_parameters(fit: ProfileFit, picture: int = 0) -> Tensor:
         StreakError: when too few profiles are good.
     """
     good = fit.good[picture]
-    check_enough(good, fit.flags[picture])
+    check_enough(fit, picture)
     position, covariance = fit.position[picture], fit.covariance[picture]
     inside = position.clamp(float(position[good].min()), float(position[good].max()))
     sizes = orders(fit, picture)
@@ -128,15 +130,21 @@ def _variance_factor(residual: Tensor, reach: int) -> float:
     return factor
 
 
-def check_enough(good: Tensor, flags: Tensor) -> None:
-    """Raise `StreakError`, with the most frequent reason, when fewer than MIN_PROFILES are good."""
+def check_enough(fit: ProfileFit, picture: int = 0) -> None:
+    """Raise `StreakError`, with the most frequent reason, when fewer than MIN_PROFILES are good.
+
+    Profiles clear of the ball's first and last image begin where a streak is twice as long as wide;
+    enough of them for a first look are there from SHORTEST on. Down to that length the stated
+    uncertainties hold (rendered straight streaks).
+    """
+    good, flags = fit.good[picture], fit.flags[picture]
     if int(good.sum()) >= MIN_PROFILES:
         return
     counts = {flag: int(((flags & int(flag)) > 0).sum()) for flag in ProfileFlag if flag}
     worst = max(counts, key=lambda flag: counts[flag])
     reasons = {
-        ProfileFlag.END: "the streak is too short for profiles clear of the ball's first and last "
-        "image (at least two widths are needed); expose longer",
+        ProfileFlag.END: f"{_size(fit, picture)} is too short for profiles clear of the ball's "
+        f"first and last image, about {SHORTEST:g} widths are needed; expose longer",
         ProfileFlag.CLIPPED: "it meets saturated pixels or the picture's border; "
         "expose less or aim again",
         ProfileFlag.LOW_CONTRAST: "its opacity hardly exceeds the noise; "
@@ -152,6 +160,14 @@ def check_enough(good: Tensor, flags: Tensor) -> None:
         f"only {int(good.sum())} of {len(good)} profiles are usable, "
         f"{MIN_PROFILES} are needed: {reasons[worst]}"
     )
+
+
+def _size(fit: ProfileFit, picture: int) -> str:
+    """Say how long and wide the streak is, from tip to tip."""
+    is_seen = fit.good[picture] if bool(fit.good[picture].any()) else fit.samples[picture] > 0
+    position, half_width = fit.position[picture], fit.half_width[picture][is_seen]
+    length, width = float(position[-1] - position[0]), 2 * float(half_width.median())
+    return f"a streak {length:.0f} px long and {width:.0f} px wide ({length / max(width, 1):.1f} widths)"
 
 
 def _side(fit: ProfileFit, picture: int, side: int) -> SplineFit:

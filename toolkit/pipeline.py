@@ -182,7 +182,7 @@ def _fit_as_seen(
         if is_last or excess > 1 or misfit <= MISFIT:
             break
         excess = misfit
-    check_enough(fit.good[0], fit.flags[0])
+    check_enough(fit)
     return fit, skew, excess
 
 

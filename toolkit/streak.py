@@ -297,7 +297,7 @@ def _why_nothing(found: Mask, significance: Map) -> str:
             "check shot, background and ball colour"
         )
     return (
-        "no streak found: what differs from the background is too small or too round; the paper's "
-        "method needs a streak at least twice as long as wide, so expose longer, or point at it "
+        "no streak found: what differs from the background is too small or too round; the "
+        "method needs a streak about 2.6 times as long as wide, so expose longer, or point at it "
         "with a region"
     )

@@ -1,5 +1,6 @@
 """The whole measurement: what it reports, and what it refuses."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -149,8 +150,22 @@ def test_a_streak_that_leaves_the_picture_is_refused(shot):
 
 def test_a_short_streak_is_refused():
     short = render_shot(benchmark_scene(width_px=40, length_widths=0.9, seed=1), seed=1)
-    with pytest.raises(StreakError, match="at least two"):
+    with pytest.raises(StreakError, match=r"too short .* about 2\.6 widths are needed") as refusal:
         run(short)
+    length, width, widths = re.search(
+        r"a streak (\d+) px long and (\d+) px wide \((\S+) widths\)", str(refusal.value)
+    ).groups()
+    assert float(length) == pytest.approx(1.9 * 40, abs=6)
+    assert float(width) == pytest.approx(40, abs=6)
+    assert float(widths) == pytest.approx(1.9, abs=0.3)
+
+
+def test_a_streak_of_the_least_length_is_measured():
+    short = render_shot(benchmark_scene(width_px=60, length_widths=1.7, seed=1), seed=1)
+    result = run(short)
+    error = np.abs(np.array(result.position_m) - short.position.numpy())
+    assert (error < 3 * np.array(result.position_std_m)).all()
+    assert abs(result.speed_m_s - float(short.velocity.norm())) < 3 * result.speed_std_m_s
 
 
 def test_a_bounce_is_refused():
