@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from toolkit.errors import ImageError
 from toolkit.files import one_line
-from toolkit.imaging.demosaicing import Pattern, demosaic, reach, tile
+from toolkit.demosaicing import Pattern, demosaic, reach, tile
 from toolkit.imaging.metadata import exposure_time
 from toolkit.imaging.quiet import quiet_decoders
 from toolkit.imaging.stored import check_size, exposure_tensor
