@@ -108,7 +108,8 @@ def widen_for_correlation(fit: ProfileFit, picture: int = 0) -> ProfileFit:
     about = smooth_parameters(fit, picture)[good]
     values = torch.stack([fit.centre, fit.half_width, fit.opacity], dim=-1)[picture][good]
     std = fit.covariance[picture][good].diagonal(dim1=-2, dim2=-1).sqrt()
-    reach = max(4, int(fit.half_width[picture][good].median()))
+    spacing = float(fit.position[picture].diff().mean())
+    reach = max(4, int(fit.half_width[picture][good].median() / spacing))
     factors = [_variance_factor(column, reach) for column in ((values - about[:, :3]) / std).mT]
     scale = torch.tensor(factors, dtype=values.dtype).sqrt()
     covariance = fit.covariance.clone()

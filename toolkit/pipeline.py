@@ -34,8 +34,10 @@ from toolkit.view import StreakView, observe_streak
 
 PROFILE_REACH = 1.5
 """Half widths that a profile extends to either side, and 4 px more."""
+PROFILES = 32
+"""To a half width, but never closer than one px: closer ones say no more together."""
 FIRST_LOOK = 8
-"""Profiles to a half width in the first look, about; the second look takes one every px."""
+"""The same in the first look, about."""
 START_TOLERANCE = 0.2
 """Standard deviations to which profiles are searched: the refinement needs no better start."""
 REFINEMENTS = 2
@@ -121,23 +123,30 @@ def fit_streak(view: StreakView, estimator: AlphaEstimator) -> ProfileFit:
     """Fit all profiles of the streak, those that touch the ball's first or last image flagged END.
 
     A first look at some profiles across the rough axis finds the middle of the streak; profiles are
-    then laid square to it, one every px, and fitted again, last of all about the smooth course of
-    all of them. Where the ball is visibly not of one colour, noise is taken to be as large as the
+    then laid square to it, closer together, and fitted again, last of all about the smooth course
+    of all of them. Where the ball is visibly not of one colour, noise is taken to be as large as the
     misfit, and the opacity may rise from one side to the other as shading makes it.
 
     Raises:
         StreakError: when too few profiles are good, or the path turns a corner.
     """
     axis, half_width, excess = view.streak.axis, view.streak.half_width, 1.0
-    first_step = max(1, int(float(half_width) / FIRST_LOOK))
-    for every, blur_rounds in ((first_step, 1), (1, BLUR_ROUNDS)):
+    for per_half_width, blur_rounds in ((FIRST_LOOK, 1), (PROFILES, BLUR_ROUNDS)):
         reach = PROFILE_REACH * float(half_width) + 4
+        spacing = max(1.0, float(half_width) / PROFILES)
+        every = max(1, round(float(half_width) / per_half_width / spacing))
         profiles = gather_profiles(
-            view.observation, view.clipped, axis, reach, corner=view.corner, every=every
+            view.observation,
+            view.clipped,
+            axis,
+            reach,
+            corner=view.corner,
+            spacing=spacing,
+            every=every,
         )
         fit, skew, excess = _fit_as_seen(profiles, estimator, half_width, excess, blur_rounds)
         axis, half_width = _middle_line(fit), _median_half_width(fit)
-    _check_corner(profiles, int(half_width))
+    _check_corner(profiles, float(half_width))
     profiles = replace(profiles, variance=profiles.variance * excess)
     for _ in range(REFINEMENTS):
         fit = refine_profiles(profiles, estimator, fit, smooth_parameters(fit)[None], skew)
@@ -217,9 +226,10 @@ def _mark_ends(fit: ProfileFit) -> ProfileFit:
     return mark_profiles(fit, ProfileFlag.END, is_end)
 
 
-def _check_corner(profiles: Profiles, reach: int) -> None:
+def _check_corner(profiles: Profiles, half_width: float) -> None:
     """Raise `StreakError` where the path turns a corner, as at a bounce: no canal surface there."""
     normal, origin = profiles.normal[0], profiles.origin[0]
+    reach = max(1, int(half_width / float(profiles.position[0].diff().mean())))
     turn = (normal[: -2 * reach] * normal[2 * reach :]).sum(-1)
     if len(turn) and float(turn.min()) < math.cos(CORNER):
         x, y = origin[int(turn.argmin()) + reach].tolist()

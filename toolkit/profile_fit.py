@@ -31,6 +31,8 @@ MIN_VALID_SHARE = 0.8
 """Share of a profile's pixels that must be usable."""
 OWN = 4
 """Parameters of each profile: centre, half width, opacity, skew."""
+PRECISION = torch.float32
+"""Of everything that a single pixel contributes, twice as fast; parameters stay in double."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -164,7 +166,7 @@ class _Model:
         mean = torch.zeros_like(profiles.position) if skew is None else skew.mean
         whitening = profiles.valid[..., None] / profiles.variance.clamp_min(1e-14).sqrt()
         weight, ground, observed = (
-            values.flatten(0, 1).mT.contiguous()
+            _by_channel(values)
             for values in (
                 whitening,
                 profiles.ground,
@@ -172,8 +174,9 @@ class _Model:
             )
         )
         is_same = J_ground is profiles.ground
-        J_ground = ground if is_same else J_ground.flatten(0, 1).mT.contiguous()
-        offset, direction = profiles.offset.flatten(0, 1), profiles.direction.flatten()[:, None]
+        J_ground = ground if is_same else _by_channel(J_ground)
+        offset = profiles.offset.flatten(0, 1).to(PRECISION)
+        direction = profiles.direction.flatten()[:, None].to(PRECISION)
         foreground, slope = estimator.foreground_and_slope(
             Chord(offset=torch.zeros_like(offset), direction=direction)
         )
@@ -217,9 +220,10 @@ class _Model:
         # indexing copies: while every profile is still searched for, a slice does
         chosen = slice(None) if len(rows) == len(self.offset) else rows
         own_blur = blur.repeat_interleave(len(self.offset) // len(blur))[chosen][:, None]
-        centre, half_width, opacity, skew = x[:, None, :].unbind(-1)
+        own_blur = own_blur.to(PRECISION)
+        centre, half_width, opacity, skew = x[:, None, :].to(PRECISION).unbind(-1)
         offset = self.offset[chosen]
-        bend = self.skew_mean[rows][:, None] if self.is_bent else None
+        bend = self.skew_mean[rows][:, None].to(PRECISION) if self.is_bent else None
         alpha, J_alpha = semi_ellipse_and_J(
             offset, centre, half_width, opacity, skew, own_blur, bend
         )
@@ -241,6 +245,7 @@ class _Model:
             cross = (J_alpha * (weighted_J * pull).sum(1)[:, None]) @ J_share.mT
             own = (J_share * (weight * pull * pull).sum(1)[:, None]) @ J_share.mT
             information = information + cross + cross.mT + own
+        cost, gradient, information = (v.to(x.dtype) for v in (cost, gradient, information))
         surprise = (x[:, 3] - self.skew_mean[chosen]) / self.skew_std
         gradient[:, 3] += surprise / self.skew_std
         information[:, 3, 3] += 1 / self.skew_std**2
@@ -261,6 +266,11 @@ class _Model:
         contrast = (foreground - self.ground[rows]) * weight
         J_contrast = (foreground - self.J_ground[rows]) * weight
         return contrast, J_contrast, None if slope is None else slope.mT * weight
+
+
+def _by_channel(values: Tensor) -> Tensor:
+    """From [B, P, S, Q] to [B * P, Q, S]."""
+    return values.flatten(0, 1).mT.to(PRECISION).contiguous()
 
 
 def _first_guess(

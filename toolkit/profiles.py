@@ -19,7 +19,9 @@ from toolkit.types import Profiles
 BEND_REACH = 10
 """px to either side over which the axis' bend is taken."""
 COARSE = 8
-"""Profiles between those among which a pixel's nearest is first looked for."""
+"""px between the profiles among which a pixel's nearest is first looked for."""
+MAX_ROUNDS = 4
+"""In which pixels move to a profile nearer by, where the axis bends."""
 
 
 def gather_profiles(
@@ -29,9 +31,10 @@ def gather_profiles(
     reach: float,
     *,
     corner: tuple[int, int] = (0, 0),
+    spacing: float = 1.0,
     every: int = 1,
 ) -> Profiles:
-    """Gather the pixels about an axis into profiles perpendicular to it, one profile every px.
+    """Gather the pixels about an axis into profiles perpendicular to it.
 
     Source: Caglioti & Giusti 2007, section 3.2. Deviation: pixels are taken where they are instead
     of samples being interpolated.
@@ -43,24 +46,23 @@ def gather_profiles(
             picture.
         reach: how far profiles extend to either side, px.
         corner: where the window's top-left pixel lies in the whole picture, (x, y).
+        spacing: from one profile to the next, px.
         every: keep one profile of so many; what is only a first look needs no more.
 
     Raises:
         ShapeError: when B disagrees.
     """
     check_shape("axis", axis, observation.signal.shape[0], "N", 2)
-    origin, normal, position = place_profiles(axis)
-    height, width = observation.signal.shape[-2:]
-    rows, columns = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
-    pixels = torch.stack([columns, rows], dim=-1).reshape(-1, 2) + torch.tensor(corner)
+    origin, normal, position = place_profiles(axis, spacing)
+    size, corner_px = observation.signal.shape[-2:], torch.tensor(corner)
     slots = [
-        _assign(pixels.to(axis.dtype), width, origin[b], normal[b], reach) for b in range(len(axis))
+        _assign(size, origin[b] - corner_px, normal[b], reach, every) for b in range(len(axis))
     ]
     count = max(slot.pixel.shape[1] for slot in slots)
-    index = torch.stack([_pad(slot.pixel[::every], count) for slot in slots])
+    index = torch.stack([_pad(slot.pixel, count) for slot in slots])
     is_filled = index >= 0
     safe = index.clamp_min(0)
-    offset = torch.stack([_pad(slot.offset[::every], count) for slot in slots])
+    offset = torch.stack([_pad(slot.offset, count) for slot in slots])
     untouched = ~_take(clipped, safe)[..., 0].bool()
     return Profiles(
         origin=origin[:, ::every],
@@ -76,11 +78,12 @@ def gather_profiles(
     )
 
 
-def place_profiles(axis: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Place profiles along a polyline, one every px (of the longest, in a batch).
+def place_profiles(axis: Tensor, spacing: float = 1.0) -> tuple[Tensor, Tensor, Tensor]:
+    """Place profiles evenly along a polyline.
 
     Args:
         axis: [B, N, 2] px.
+        spacing: px from one to the next, about (on the longest axis, in a batch).
 
     Returns:
         Origins [B, P, 2], unit normals to the right of the motion [B, P, 2] and arc lengths [B, P],
@@ -88,7 +91,7 @@ def place_profiles(axis: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """
     steps = torch.linalg.vector_norm(axis.diff(dim=1), dim=-1)
     length = torch.cat([torch.zeros_like(steps[:, :1]), steps.cumsum(1)], dim=1)
-    count = max(2, round(float(length[:, -1].max())) + 1)
+    count = max(2, round(float(length[:, -1].max()) / spacing) + 1)
     share = torch.linspace(0, 1, count, dtype=axis.dtype)
     position = share * length[:, -1:]
     segment = torch.searchsorted(length.contiguous(), position).clamp(1, axis.shape[1] - 1)
@@ -130,52 +133,66 @@ class _Slots:
     offset: Tensor  # [P, S] px
 
 
-def _assign(pixels: Tensor, width: int, origin: Tensor, normal: Tensor, reach: float) -> _Slots:
-    """Give every pixel [N, 2] within reach of the axis to the profile it lies nearest to."""
-    tangent = torch.stack([normal[:, 1], -normal[:, 0]], dim=-1)
-    near, profile = _rough_neighbours(pixels, width, origin, reach)
-    pixels = pixels[near]
+def _assign(
+    size: tuple[int, int], origin: Tensor, normal: Tensor, reach: float, every: int
+) -> _Slots:
+    """Give every pixel of a window (height, width) near the axis to its nearest profile."""
     spacing = float(torch.linalg.vector_norm(origin.diff(dim=0), dim=-1).mean().clamp_min(1e-9))
-    for _ in range(3):
-        along = ((pixels - origin[profile]) * tangent[profile]).sum(-1)
-        profile = (profile + (along / spacing).round().long()).clamp(0, len(origin) - 1)
-    away = pixels - origin[profile]
-    offset = (away * normal[profile]).sum(-1)
-    along = (away * tangent[profile]).sum(-1)
+    near, profile = _rough_neighbours(size, origin, reach, spacing)
+    y, x = (values.to(origin.dtype) for values in (near // size[1], near % size[1]))
+    last = len(origin) - 1
+    along, offset = _from_profile(x, y, profile, origin, normal)
+    for _ in range(MAX_ROUNDS):
+        nearer = (profile + (along / spacing).round().long()).clamp(0, last)
+        if torch.equal(nearer, profile):
+            break
+        profile = nearer
+        along, offset = _from_profile(x, y, profile, origin, normal)
     # what lies beyond the first or the last profile belongs to none
-    is_outer = (profile == 0) | (profile == len(origin) - 1)
-    room = torch.where(is_outer, spacing / 2, spacing)
-    chosen = ((offset.abs() <= reach) & (along.abs() <= room)).nonzero()[:, 0]
-    profile, offset = profile[chosen], offset[chosen]
-    order = (profile * 4 * (reach + 1) + offset).argsort()
-    profile, offset, chosen = profile[order], offset[order], chosen[order]
-    sizes = torch.bincount(profile, minlength=len(origin))
+    room = torch.where((profile == 0) | (profile == last), spacing / 2, spacing)
+    is_taken = (offset.abs() <= reach) & (along.abs() <= room) & (profile % every == 0)
+    chosen = is_taken.nonzero()[:, 0]
+    chosen = chosen[(profile[chosen] // every).to(torch.int32).argsort(stable=True)]
+    profile = profile[chosen] // every
+    kept = last // every + 1
+    sizes = torch.bincount(profile, minlength=kept)
     place = torch.arange(len(profile)) - (sizes.cumsum(0) - sizes)[profile]
-    shape = (len(origin), max(int(sizes.max()), 1))
+    shape = (kept, max(int(sizes.max()), 1))
     pixel_table = torch.full(shape, -1, dtype=torch.int64)
     pixel_table[profile, place] = near[chosen]
     offset_table = torch.zeros(shape, dtype=offset.dtype)
-    offset_table[profile, place] = offset
+    offset_table[profile, place] = offset[chosen]
     return _Slots(pixel=pixel_table, offset=offset_table)
 
 
-def _rough_neighbours(
-    pixels: Tensor, width: int, origin: Tensor, reach: float
+def _from_profile(
+    x: Tensor, y: Tensor, profile: Tensor, origin: Tensor, normal: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Index the pixels that may lie within reach of the axis, and a profile near each.
+    """Where pixels (x, y) lie from the origin of their profile: along the axis and across it."""
+    (origin_x, origin_y), (normal_x, normal_y) = origin[profile].mT, normal[profile].mT
+    right, down = x - origin_x, y - origin_y
+    return right * normal_y - down * normal_x, right * normal_x + down * normal_y
 
-    The pixels [N, 2] are those of a picture `width` wide, row by row. Whole blocks of them are
-    looked at, since their distances to all profiles take the longest.
+
+def _rough_neighbours(
+    size: tuple[int, int], origin: Tensor, reach: float, spacing: float
+) -> tuple[Tensor, Tensor]:
+    """Index the pixels of a window that may lie within reach of the axis, and a profile near each.
+
+    Whole blocks of them are looked at, since their distances to all profiles take the longest.
     """
-    grid = pixels.reshape(-1, width, 2)
-    blocks = grid[::COARSE, ::COARSE] + (COARSE - 1) / 2
-    distance, nearest = torch.cdist(blocks.reshape(-1, 2), origin[::COARSE]).min(1)
+    height, width = size
+    y, x = (
+        torch.arange(0, extent, COARSE, dtype=origin.dtype) + (COARSE - 1) / 2 for extent in size
+    )
+    stride = max(1, int(COARSE / spacing))
+    distance, nearest = torch.cdist(torch.cartesian_prod(x, y), origin[::stride]).min(1)
     # a block's corner is 0.7 blocks from its middle, a place on the axis half one from an origin
     nearest[distance > reach + 1.3 * COARSE] = -1
-    fine = nearest.reshape(blocks.shape[:2]).repeat_interleave(COARSE, 0)
-    fine = fine.repeat_interleave(COARSE, 1)[: len(grid), :width].flatten()
+    fine = nearest.reshape(len(x), len(y)).mT.repeat_interleave(COARSE, 0)
+    fine = fine.repeat_interleave(COARSE, 1)[:height, :width].flatten()
     near = (fine >= 0).nonzero()[:, 0]
-    return near, COARSE * fine[near]
+    return near, stride * fine[near]
 
 
 def _pad(table: Tensor, count: int) -> Tensor:

@@ -35,10 +35,13 @@ class SplineBasis:
         pieces = self.size - self.degree
         length = (self.stop - self.start) / pieces
         local = (x - self.start) / length
+        table = _taylor_table(self.degree, pieces, min(self.continuation, self.degree)).to(x)
+        if pieces == 1 and self.continuation >= self.degree:
+            # one polynomial everywhere
+            return _powers(local, self.degree, derivative) @ table[1] / length**derivative
         # row 0 continues the start, rows 1 to `pieces` are the pieces, the last continues the end
         row = torch.where(local > pieces, pieces, local.floor()).clamp(-1, pieces) + 1
         powers = _powers(local - (row - 1).clamp_min(0), self.degree, derivative)
-        table = _taylor_table(self.degree, pieces, min(self.continuation, self.degree)).to(x)
         basis = (powers[..., None, :] @ table[row.long()])[..., 0, :]
         return basis / length**derivative
 

@@ -149,13 +149,25 @@ def test_every_pixel_about_the_axis_is_used_once(axis):
     assert set(is_beside.nonzero()[:, 0].tolist()) <= set(used.long().tolist())
 
 
-def test_offsets_rise_within_a_profile_and_end_at_the_reach():
+def test_offsets_end_at_the_reach():
     profiles = gathered(line((22.3, 24.8), (61.0, 46.4)), reach=12.0)
-    assert profiles.offset.abs().max() <= 12.0
-    rises = profiles.offset.diff(dim=-1) > 0
-    both = profiles.is_filled[..., 1:] & profiles.is_filled[..., :-1]
-    assert rises[both].all()
+    assert 11.0 < profiles.offset.abs().max() <= 12.0
     assert (profiles.offset[~profiles.is_filled] == 0).all()
+
+
+def test_wider_spacing_and_fewer_profiles_hold_the_same_pixels():
+    axis = line((22.3, 24.8), (61.0, 46.4))
+    dense, wide = gathered(axis), gathered(axis, spacing=3.0)
+    assert float(wide.position[0].diff().mean()) == pytest.approx(3.0, rel=0.05)
+    pixels = [int(profiles.is_filled[:, 2:-2].sum()) for profiles in (dense, wide)]
+    steps = [len(profiles.position[0]) - 4 for profiles in (dense, wide)]
+    spacings = [float(profiles.position[0].diff().mean()) for profiles in (dense, wide)]
+    per_px = [n / (k * px) for n, k, px in zip(pixels, steps, spacings, strict=True)]
+    assert per_px[0] == pytest.approx(per_px[1], rel=0.01)
+    few = gathered(axis, spacing=3.0, every=2)
+    assert torch.equal(few.position, wide.position[:, ::2])
+    shared = min(few.offset.shape[-1], wide.offset.shape[-1])
+    assert torch.equal(few.offset[..., :shared], wide.offset[:, ::2, :shared])
 
 
 def test_a_window_of_the_picture_gives_the_same_as_the_whole():

@@ -83,9 +83,9 @@ def main(argv: list[str] | None = None) -> int:
         0 ok, 2 usage, 3 unreadable input, 4 inputs that do not fit, 5 refused, 6 batch with
         failures, 7 environment, 70 a bug, 130 interrupted, 141 the reader of our output left.
     """
-    # read when torch is first imported: threads that wait by spinning take ten times as long where
-    # other programs keep the processors busy
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    # read when torch is first imported: a streak is too small for more threads to pay, and threads
+    # that wait for each other take ten times as long where other programs keep the processors busy
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
     flags, words = _split_flags(list(sys.argv[1:] if argv is None else argv))
     debug = "--debug" in flags
     with _logging(quiet="--quiet" in flags):
