@@ -63,10 +63,14 @@ def brightness_drift(
     ratios = []
     for channel in range(3):
         level, difference = _channel_samples(image, background, channel, ignore)
-        bright = level > level.median()
+        if not len(level):  # all is clipped, and nothing tells of another light
+            ratios.append(torch.ones((), dtype=torch.float64))
+            continue
+        bright = level >= level.median()
         share = (difference[bright] / level[bright].clamp_min(1e-3)).median()
         own = 1 / (1 + background.frames)  # of the shot in the level
-        ratios.append((1 + (1 - own) * share) / (1 - own * share))
+        # a background without light leaves nothing below: the ratio is as good as infinite
+        ratios.append((1 + (1 - own) * share) / (1 - own * share).clamp_min(1e-6))
     return torch.stack(ratios)
 
 

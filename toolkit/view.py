@@ -8,11 +8,14 @@ from torch import Tensor
 from toolkit.alpha import AlphaEstimator, Observation
 from toolkit.background import brightness_drift, estimate_noise, scale_background
 from toolkit.errors import StreakError
+from toolkit.scene_match import check_light, check_same_scene
 from toolkit.streak import ROI, find_streak
 from toolkit.types import LinearImage, Streak
 
 DRIFT = 0.003
 """Relative change of the light since the background beyond which the background follows it."""
+LARGE_DRIFT = 0.05
+"""The same, beyond which the streak is not even looked for before the background follows."""
 MARGIN = 1.0
 """Half widths around the streak within which pixels do not count as background."""
 WINDOW = 2.5
@@ -42,10 +45,17 @@ def observe_streak(
     covers.
 
     Raises:
+        MismatchError: when the two pictures do not show the same scene from the same place.
         StreakError: when there is no streak, or it leaves the picture.
         ConfigError: when the region lies outside the picture.
     """
-    streak = find_streak(image, background, estimate_noise(image, background), estimator, roi)
+    light = brightness_drift(image, background)
+    check_light(light)
+    # without the streak the light is only roughly known: not worth following unless it stands out
+    is_other_light = bool(((light - 1).abs() > LARGE_DRIFT).any())
+    lit = scale_background(background, light) if is_other_light else background
+    check_same_scene(image, lit)
+    streak = find_streak(image, lit, estimate_noise(image, lit), estimator, roi)
     half_width = float(streak.half_width)
     ignore = _grown(streak.mask, MARGIN * half_width)
     drift = brightness_drift(image, background, ignore)

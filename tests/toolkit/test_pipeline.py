@@ -9,7 +9,7 @@ import torch
 
 from plugins.uniform import Uniform
 from toolkit import ConfigError, MismatchError, ProfileFlag, StreakError, measure
-from toolkit.synthetic import benchmark_scene, preset_scene, render_shot
+from toolkit.synthetic import add_noise, benchmark_scene, preset_scene, render_shot
 
 
 @pytest.fixture(scope="module")
@@ -126,6 +126,30 @@ def test_a_change_of_light_is_corrected_and_reported(shot):
     assert "background-brightness" in codes(result)
     gap = np.array(result.position_m) - np.array(plain.position_m)
     assert np.linalg.norm(gap) < 0.1 * shot.scene.ball_radius
+
+
+@pytest.mark.parametrize("light", [0.5, 0.75, 1.3])
+def test_quite_another_light_is_followed(shot, light):
+    clean = light * shot.scene.background
+    noisy = add_noise(clean, shot.scene.noise, 99)[None]
+    result = run(shot, background=replace(shot.background, rgb=noisy))
+    assert "background-brightness" in codes(result)
+    error = np.abs(np.array(result.position_m) - shot.position.numpy())
+    assert (error < 4 * np.array(result.position_std_m)).all()
+    assert abs(result.speed_m_s - float(shot.velocity.norm())) < 4 * result.speed_std_m_s
+
+
+def test_a_background_that_does_not_fit_is_named(shot):
+    start = "^background and shot do not fit together: "
+    shifted = replace(shot.background, rgb=shot.background.rgb.roll(6, -1))
+    with pytest.raises(MismatchError, match=start + "the camera moved"):
+        run(shot, background=shifted)
+    elsewhere = replace(shot.background, rgb=shot.background.rgb.flip(-1))
+    with pytest.raises(MismatchError, match=start + "most of what stands out"):
+        run(shot, background=elsewhere)
+    black = replace(shot.background, rgb=0 * shot.background.rgb)
+    with pytest.raises(MismatchError, match=start + ".* times as bright"):
+        run(shot, background=black)
 
 
 def test_the_same_picture_gives_the_same_answer(shot):

@@ -1,0 +1,131 @@
+"""Whether shot and background show the same scene, from the same place, in similar light."""
+
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toolkit.errors import MismatchError
+from toolkit.types import LinearImage
+
+GREEN = 1
+MAX_SIDE = 512
+"""px; larger pictures are reduced to about this."""
+SMOOTHING = 2.0
+"""px of the reduced picture."""
+MAX_LIGHT = 8.0
+"""Ratio of the light in shot and background beyond which they cannot be compared."""
+TEXTURE = 0.1
+"""Share of the picture, its steepest, by which the scene is recognised."""
+SIGNIFICANCE = 6.0
+"""Steepness over that of noise from which it counts."""
+MIN_STEEP = 400
+"""Steep places without which nothing can be told."""
+MIN_AGREEMENT = 0.3
+"""Share of the background's steps that the shot must show: 1 in the same scene, 0 in another."""
+MIN_SHIFT = 3.0
+"""px of the stored picture; what is less is left to the fit."""
+REMAINDER = 0.6
+"""Share of the difference that may remain where a shift is to be believed."""
+PEAK = 0.1
+"""Share of the correlation in its peak from which a shift is looked at."""
+
+Map = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+
+def check_light(light: Tensor) -> None:
+    """Raise `MismatchError` when the shot's light over the background's, [3], is far from 1."""
+    if not bool(((light > 1 / MAX_LIGHT) & (light < MAX_LIGHT)).all()):
+        ratios = ", ".join(f"{value:.3g}" for value in light.tolist())
+        raise MismatchError(
+            "background and shot do not fit together: in red, green, blue the shot is "
+            f"{ratios} times as bright; take both with the same exposure in the same light"
+        )
+
+
+def check_same_scene(image: LinearImage, background: LinearImage) -> None:
+    """Raise `MismatchError` when the camera moved, or the scene is another one.
+
+    A scene is recognised by the steepest places of the background, which the shot must show too; a
+    camera that moved by the peak of the phase correlation, when a shift by it leaves much less of
+    the difference. A scene without texture tells nothing and passes. [derived]
+
+    Args:
+        image: the shot.
+        background: the scene without the ball, in the light of the shot.
+    """
+    factor = _reduction(image)
+    shot, ground = (_reduced(picture, factor) for picture in (image, background))
+    slope = _slope(ground)
+    is_steep = _steep(ground, slope)
+    if np.count_nonzero(is_steep) < MIN_STEEP:
+        return
+    shift = _shift(shot, ground, is_steep)
+    if shift is not None and factor * math.hypot(*shift) >= MIN_SHIFT:
+        x, y = (round(factor * length) for length in shift)
+        raise MismatchError(
+            "background and shot do not fit together: the camera moved between them, the picture "
+            f"by about ({x}, {y}) px; fix the camera, and take the background again"
+        )
+    if _agreement(_slope(shot), slope, is_steep) < MIN_AGREEMENT:
+        raise MismatchError(
+            "background and shot do not fit together: most of what stands out in the background is "
+            "not in the shot; take the background of the same scene from the same place"
+        )
+
+
+def _reduction(image: LinearImage) -> int:
+    """Choose by how much to reduce a picture; a mosaic by whole periods of its pattern."""
+    period = 1 if image.mosaic is None or image.pattern is None else len(image.pattern)
+    return math.ceil(max(image.width, image.height) / MAX_SIDE / period) * period
+
+
+def _reduced(image: LinearImage, factor: int) -> Map:
+    """Average blocks of factor x factor px of the mosaic, else of green."""
+    plane = image.rgb[0, GREEN] if image.mosaic is None else image.mosaic[0, 0]
+    width, height = max(1, image.width // factor), max(1, image.height // factor)
+    whole = plane[: height * factor, : width * factor].numpy()
+    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.float32)
+
+
+def _slope(picture: Map) -> Map:
+    """Give the derivatives of the smoothed picture, [2, H, W] per px."""
+    smooth = cv2.GaussianBlur(picture, (0, 0), SMOOTHING)
+    return np.stack([cv2.Sobel(smooth, cv2.CV_32F, *d, scale=1 / 8) for d in ((1, 0), (0, 1))])
+
+
+def _steep(picture: Map, slope: Map) -> Mask:
+    """Tell where the picture is steepest, and steeper than its noise can be."""
+    steepness = np.hypot(*slope)
+    # second differences see noise and hardly any texture; their gain is 6 (Immerkaer 1996)
+    kernel = np.outer([1, -2, 1], [1, -2, 1]).astype(np.float32)
+    noise = float(np.median(np.abs(cv2.filter2D(picture, cv2.CV_32F, kernel)))) / 0.674 / 6
+    # the gain of a Gaussian's derivative is 1 / (sqrt(8 pi) sigma^2)
+    noise_slope = noise / ((8 * math.pi) ** 0.5 * SMOOTHING**2)
+    limit = max(float(np.quantile(steepness, 1 - TEXTURE)), SIGNIFICANCE * noise_slope)
+    return np.asarray(steepness > limit)
+
+
+def _agreement(shot: Map, ground: Map, is_steep: Mask) -> float:
+    """Median share of the background's slope that the shot has too."""
+    share = (shot * ground).sum(0)[is_steep] / (ground * ground).sum(0)[is_steep]
+    return float(np.median(share))
+
+
+def _shift(shot: Map, ground: Map, is_steep: Mask) -> tuple[float, float] | None:
+    """Give the shift (x, y) px from background to shot if it explains most of their difference."""
+    window = cv2.createHanningWindow(shot.shape[::-1], cv2.CV_32F)
+    # copies: pictures whose size suits the Fourier transform would be multiplied by the window
+    (x, y), peak = cv2.phaseCorrelate(ground.copy(), shot.copy(), window)
+    if peak < PEAK:
+        return None
+    move = np.array([[1, 0, x], [0, 1, y]])
+    moved = cv2.warpAffine(ground, move, ground.shape[::-1], borderMode=cv2.BORDER_REPLICATE)
+    before, after = (
+        float(np.median(np.abs(cv2.GaussianBlur(shot - g, (0, 0), SMOOTHING))[is_steep]))
+        for g in (ground, moved)
+    )
+    return (x, y) if after < REMAINDER * before else None
