@@ -1,11 +1,13 @@
 """What the picture shows away from the ball: the camera's noise, and how the light drifted."""
 
 import math
-from dataclasses import replace
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
+from toolkit.demosaicing import tile
 from toolkit.errors import MismatchError
 from toolkit.types import LinearImage, NoiseModel
 
@@ -16,10 +18,12 @@ LEVELS = 8
 MIN_STD = 2e-5
 """Share of white below which no camera's noise lies (a quarter step of 14 bits)."""
 
+Values = NDArray[np.float64]
+
 
 def check_pair(image: LinearImage, background: LinearImage) -> None:
     """Raise `MismatchError` unless shot and background have the same size."""
-    if image.rgb.shape[-2:] != background.rgb.shape[-2:]:
+    if image.clipped.shape[-2:] != background.clipped.shape[-2:]:
         raise MismatchError(
             f"the background is {background.width}x{background.height} px but the shot is "
             f"{image.width}x{image.height} px; take both with the same camera and settings"
@@ -64,42 +68,46 @@ def brightness_drift(
     for channel in range(3):
         level, difference = _channel_samples(image, background, channel, ignore)
         if not len(level):  # all is clipped, and nothing tells of another light
-            ratios.append(torch.ones((), dtype=torch.float64))
+            ratios.append(1.0)
             continue
-        bright = level >= level.median()
-        share = (difference[bright] / level[bright].clamp_min(1e-3)).median()
+        bright = level.argsort()[len(level) // 2 :]
+        share = float(_quantile(difference[bright] / level[bright].clip(1e-3), 0.5))
         own = 1 / (1 + background.frames)  # of the shot in the level
         # a background without light leaves nothing below: the ratio is as good as infinite
-        ratios.append((1 + (1 - own) * share) / (1 - own * share).clamp_min(1e-6))
-    return torch.stack(ratios)
+        ratios.append((1 + (1 - own) * share) / max(1 - own * share, 1e-6))
+    return torch.tensor(ratios, dtype=torch.float64)
 
 
 def scale_background(background: LinearImage, ratio: Tensor) -> LinearImage:
     """Give the background in the light of the shot, each channel multiplied by its ratio [3]."""
-    return replace(background, rgb=background.rgb * ratio.to(background.rgb)[:, None, None])
+    ratio = ratio.to(background.recorded)
+    if background.pattern is None:
+        return background.remade(background.recorded * ratio[:, None, None])
+    period = ratio[torch.tensor(background.pattern)].numpy()
+    site = tile(period, background.recorded.shape[-2:])
+    return background.remade(background.recorded * torch.from_numpy(site))
 
 
 def _channel_samples(
     image: LinearImage, background: LinearImage, channel: int, ignore: Tensor | None
-) -> tuple[Tensor, Tensor]:
-    """Mean levels and differences of one channel on an even subset of its raw samples."""
-    shot, ground, clipped = image.rgb[0, channel], background.rgb[0, channel], image.clipped[0, 0]
-    clipped = clipped | background.clipped[0, 0]
-    if ignore is not None:
-        clipped = clipped | ignore[0, 0]
+) -> tuple[Values, Values]:
+    """Mean levels and differences of one channel on an even subset of its raw samples, [N] each."""
     if image.mosaic is not None and background.mosaic is not None and image.pattern is not None:
+        shot, ground = image.mosaic[0, 0], background.mosaic[0, 0]
         row, column, step_y, step_x = _lattice(image.pattern, channel)
-        shot = image.mosaic[0, 0, row::step_y, column::step_x]
-        ground = background.mosaic[0, 0, row::step_y, column::step_x]
-        clipped = clipped[row::step_y, column::step_x]
-    step = max(1, math.ceil((shot.numel() / SAMPLES) ** 0.5))
-    shot, ground = shot[::step, ::step], ground[::step, ::step]
-    usable = ~clipped[::step, ::step]
-    shot, ground = shot[usable].double(), ground[usable].double()
+    else:
+        shot, ground = image.rgb[0, channel], background.rgb[0, channel]
+        row, column, step_y, step_x = 0, 0, 1, 1
+    step = max(1, math.ceil((shot.numel() / (step_y * step_x) / SAMPLES) ** 0.5))
+    sites = (slice(row, None, step_y * step), slice(column, None, step_x * step))
+    unusable = [image.clipped, background.clipped, *([] if ignore is None else [ignore])]
+    # NumPy from here on: it sorts many times faster than torch
+    usable = ~np.any([mask[0, 0][sites].numpy() for mask in unusable], axis=0)
+    seen, empty = (light[sites].numpy()[usable].astype(np.float64) for light in (shot, ground))
     # the mean weighed by precision is the one level whose noise is independent of the difference's:
     # grouped by any other, a group would be selected for differences of one sign
-    level = (shot + background.frames * ground) / (1 + background.frames)
-    return level, shot - ground
+    level = (seen + background.frames * empty) / (1 + background.frames)
+    return level, seen - empty
 
 
 def _lattice(pattern: tuple[tuple[int, ...], ...], channel: int) -> tuple[int, int, int, int]:
@@ -120,35 +128,41 @@ def _density(image: LinearImage, background: LinearImage, channel: int) -> float
     return sites.count(channel) / len(sites)
 
 
-def _fit_variance(level: Tensor, difference: Tensor, share: float) -> tuple[float, float]:
+def _fit_variance(level: Values, difference: Values, share: float) -> tuple[float, float]:
     """Fit read variance and gain, neither negative, to the variance of each brightness group."""
-    if level.numel() < 4 * LEVELS:
+    if len(level) < 4 * LEVELS:
         return MIN_STD**2, 0.0
-    order = level.argsort()
-    levels, variances = [], []
-    for group in order.chunk(LEVELS):
-        levels.append(level[group].mean())
-        variances.append(_robust_variance(difference[group]) / share)
-    x, variance = torch.stack(levels), torch.stack(variances).clamp_min(MIN_STD**2)
-    design = torch.stack([torch.ones_like(x), x], dim=-1) / variance[:, None]
-    read, gain = torch.linalg.lstsq(design, torch.ones_like(x)[:, None]).solution[:, 0].tolist()
+    groups = level.argsort()[: len(level) // LEVELS * LEVELS].reshape(LEVELS, -1)
+    x = level[groups].mean(-1)
+    variance = (_robust_variance(difference[groups]) / share).clip(MIN_STD**2)
+    design = np.stack([np.ones_like(x), x], axis=-1) / variance[:, None]
+    read, gain = np.linalg.lstsq(design, np.ones_like(x), rcond=None)[0].tolist()
     if gain < 0:
-        return max(float(variance.median()), MIN_STD**2), 0.0
+        return max(float(_quantile(variance, 0.5)), MIN_STD**2), 0.0
     if read < MIN_STD**2:
         slope = float((x / variance).sum() / ((x / variance) ** 2).sum())
         return MIN_STD**2, max(slope, 0.0)
     return read, gain
 
 
-def _robust_variance(difference: Tensor) -> Tensor:
-    """Variance of the bulk: samples beyond 4 standard deviations of the bulk are left out.
+def _robust_variance(difference: Values) -> Values:
+    """Variance of the bulk of each row [G, N]: what lies beyond 4 of its deviations is left out.
 
     On 8-bit pictures most differences may be exactly 0, so that the median or even the middle half
     says nothing: the spread is looked for further and further out.
     """
-    size = (difference - difference.median()).abs()
-    shares = torch.tensor([0.5, 0.8, 0.98], dtype=size.dtype)
-    half, most, nearly_all = size.quantile(shares).tolist()
-    spread = max(half / 0.674, most / 1.282) or nearly_all
-    kept = difference[size <= 4 * spread]
-    return kept.var() if len(kept) > 1 else difference.new_zeros(())
+    size = np.abs(difference - _quantile(difference, 0.5)[:, None])
+    half, most, nearly_all = (_quantile(size, share) for share in (0.5, 0.8, 0.98))
+    spread = np.maximum(half / 0.674, most / 1.282)
+    spread = np.where(spread > 0, spread, nearly_all)
+    kept = size <= 4 * spread[:, None]
+    return np.asarray(difference.var(-1, ddof=1, where=kept))
+
+
+def _quantile(values: Values, share: float) -> Values:
+    """Give the value below which a share of those along the last axis lies, without interpolation.
+
+    NumPy's own is three times as slow, and the first call of it loads further modules.
+    """
+    rank = round(share * (values.shape[-1] - 1))
+    return np.asarray(np.partition(values, rank)[..., rank])

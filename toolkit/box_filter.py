@@ -16,8 +16,8 @@ def box_mean(picture: Tensor, size: int) -> Tensor:
     Returns:
         Same shape and type.
     """
-    planes = [
-        cv2.blur(np.ascontiguousarray(plane), (size, size), borderType=cv2.BORDER_REPLICATE)
-        for plane in picture.flatten(0, 1).numpy()
-    ]
-    return torch.from_numpy(np.stack(planes)).reshape(picture.shape)
+    planes = picture.flatten(0, 1).contiguous().numpy()
+    means = np.empty_like(planes)
+    for plane, mean in zip(planes, means, strict=True):
+        cv2.blur(plane, (size, size), mean, borderType=cv2.BORDER_REPLICATE)
+    return torch.from_numpy(means).reshape(picture.shape)

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import ConfigError
+from toolkit.errors import ConfigError, ShapeError
 
 Pattern = tuple[tuple[int, ...], ...]
 
@@ -42,6 +42,39 @@ def demosaic(
             f"demosaicing method '{method}' is unknown; use one of {', '.join(DEMOSAICERS)}"
         )
     return DEMOSAICERS[method](mosaic, pattern)
+
+
+def superpixels(mosaic: NDArray[np.float32], pattern: Pattern, size: int) -> NDArray[np.float32]:
+    """Average what each colour's pixels measured in blocks of the mosaic: a reduced picture.
+
+    Nothing is interpolated, so that it costs a small part of demosaicing the whole.
+
+    Args:
+        mosaic: light [H, W].
+        pattern: as in `demosaic`.
+        size: side of a block, px, whole periods of the pattern; an incomplete last block is cut
+            off.
+
+    Returns:
+        Light [3, H // size, W // size].
+
+    Raises:
+        ShapeError: when the size is not a whole number of periods.
+    """
+    period = len(pattern)
+    if size % period:
+        raise ShapeError(f"size is {size} px, but whole periods of {period} px are needed")
+    height, width = (side // size for side in mosaic.shape)
+    # [H, W / period, period] is a view in which each channel holds one column of the pattern
+    columns = mosaic[: height * size, : width * size].reshape(height * size, -1, period)
+    rgb = np.zeros((3, height, width), np.float32)
+    for row, colours in enumerate(pattern):
+        means = cv2.resize(columns[row::period], (width, height), interpolation=cv2.INTER_AREA)
+        for column, channel in enumerate(colours):
+            rgb[channel] += means[..., column]
+    sites = np.bincount(np.ravel(pattern), minlength=3)
+    rgb /= sites[:, None, None]
+    return rgb
 
 
 def is_bayer(pattern: Pattern) -> bool:

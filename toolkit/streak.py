@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator, Observation
+from toolkit.demosaicing import superpixels
 from toolkit.errors import ConfigError, StreakError
 from toolkit.splines import SplineBasis, fit_smooth, fit_spline
 from toolkit.types import LinearImage, NoiseModel, Streak
@@ -73,7 +74,7 @@ def find_streak(
         StreakError: when nothing in the picture looks like the streak of such a ball.
         ConfigError: when the region lies outside the picture.
     """
-    factor = max(1, math.ceil(max(image.width, image.height) / MAX_SIDE))
+    factor = _reduction(image)
     observation = estimator.observe(
         _reduced(image, factor), _reduced(background, factor), _averaged(noise, factor)
     )
@@ -92,7 +93,7 @@ def find_streak(
     axis = _forward((best.axis + 0.5) * factor - 0.5)
     mask = cv2.resize(best.mask, (image.width, image.height), interpolation=cv2.INTER_NEAREST)
     return Streak(
-        mask=torch.from_numpy(mask).bool()[None, None],
+        mask=torch.from_numpy(mask.view(np.bool_))[None, None],
         axis=torch.from_numpy(axis)[None],
         half_width=torch.tensor([best.half_width * factor], dtype=torch.float64),
     )
@@ -117,20 +118,35 @@ def refine_axis(middle: Tensor, weight: Tensor, position: Tensor, sizes: tuple[i
     return points[keep][None]
 
 
+def _reduction(image: LinearImage) -> int:
+    """Choose by how much to reduce a picture; a mosaic by whole periods of its pattern."""
+    factor = max(1, math.ceil(max(image.width, image.height) / MAX_SIDE))
+    period = 1 if image.pattern is None or factor == 1 else len(image.pattern)
+    return math.ceil(factor / period) * period
+
+
 def _reduced(image: LinearImage, factor: int) -> LinearImage:
     """Average blocks of factor x factor px; an incomplete last block is cut off."""
     if factor == 1:
         return image
     width, height = image.width // factor, image.height // factor
     area = (..., slice(height * factor), slice(width * factor))
-    planes = [
-        cv2.resize(plane, (width, height), interpolation=cv2.INTER_AREA)
-        for plane in image.rgb[area][0].numpy()
-    ]
-    rgb = torch.from_numpy(np.stack(planes))[None]
-    blocks = image.clipped[area].reshape(1, 1, height, factor, width, factor)
-    clipped = blocks.any(-1).any(-2)
-    return replace(image, rgb=rgb, clipped=clipped, mosaic=None, pattern=None)
+    if image.mosaic is not None and image.pattern and factor % len(image.pattern) == 0:
+        rgb = superpixels(image.mosaic[0, 0].numpy(), image.pattern, factor)
+    else:
+        planes = [
+            cv2.resize(plane, (width, height), interpolation=cv2.INTER_AREA)
+            for plane in image.rgb[area][0].numpy()
+        ]
+        rgb = np.stack(planes)
+    blocks = image.clipped[area].numpy().reshape(1, 1, height, factor, width, factor)
+    return replace(
+        image,
+        rgb=torch.from_numpy(rgb)[None],
+        clipped=torch.from_numpy(blocks.any(-3).any(-1)),
+        mosaic=None,
+        pattern=None,
+    )
 
 
 def _averaged(noise: NoiseModel, factor: int) -> NoiseModel:

@@ -10,11 +10,14 @@ white = 1.
 
 from dataclasses import dataclass, replace
 from enum import IntFlag
+from typing import cast, overload
 
 import torch
 from torch import Tensor
 
 from toolkit.box_filter import box_mean
+from toolkit.demosaicing import Pattern, demosaic, reach
+from toolkit.errors import ShapeError
 
 
 class ProfileFlag(IntFlag):
@@ -35,22 +38,53 @@ class ProfileFlag(IntFlag):
     """The fit disagrees with its neighbours."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LinearImage:
-    """A picture in linear light, in sensor orientation, white = 1."""
+class Colours:
+    """The field `rgb` of a picture: what was given, else its mosaic demosaiced at first need.
 
-    rgb: Tensor  # [B, 3, H, W] float32
+    Most of a RAW shot is looked at only as the sensor measured it, and its colours would take three
+    times its memory.
+    """
+
+    @overload
+    def __get__(self, image: None, owner: type) -> None: ...
+    @overload
+    def __get__(self, image: "LinearImage", owner: type) -> Tensor: ...
+    def __get__(self, image: "LinearImage | None", owner: type) -> Tensor | None:
+        """Give the colours, or the field's default where the class itself is asked."""
+        if image is None:
+            return None
+        if image.__dict__["rgb"] is None and image.mosaic is not None and image.pattern is not None:
+            image.__dict__["rgb"] = _fill_in(image.mosaic, image.pattern)
+        return cast(Tensor, image.__dict__["rgb"])
+
+    def __set__(self, image: "LinearImage", rgb: Tensor | None) -> None:
+        """Keep what is given."""
+        image.__dict__["rgb"] = rgb
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearImage:
+    """A picture in linear light, in sensor orientation, white = 1.
+
+    Made of `rgb`, or of a `mosaic` and its `pattern`, from which `rgb` is filled in when somebody
+    asks for it.
+    """
+
+    rgb: Colours = Colours()  # [B, 3, H, W] float32
     clipped: Tensor  # [B, 1, H, W] bool, True where any channel met white
     exposure: Tensor | None = None  # [B] s, None when the file does not tell
-    mosaic: Tensor | None = None  # [B, 1, H, W] float32, the values before demosaicing
-    # the mosaic's period: channel 0 R, 1 G, 2 B
-    pattern: tuple[tuple[int, ...], ...] | None = None
+    mosaic: Tensor | None = None  # [B, 1, H, W] float32, as measured; beside it rgb is derived
+    pattern: Pattern | None = None  # the mosaic's period: channel 0 R, 1 G, 2 B
     # left, top of this picture in its full frame, and that frame's width, height; None when the
     # file holds no larger frame
     crop: tuple[int, int, int, int] | None = None
     response: str = "linear"  # how stored brightness became light
     response_is_assumed: bool = False  # nobody named it, it was guessed from the file kind
     frames: int = 1  # how many pictures were combined into this one (noise is smaller by that)
+
+    def __post_init__(self) -> None:
+        if self.__dict__["rgb"] is None and (self.mosaic is None or self.pattern is None):
+            raise ShapeError("a picture needs rgb, or a mosaic and its pattern; give one of them")
 
     def measured(self) -> Tensor | None:
         """Say which channels were measured at each pixel [1, 3, H, W] bool; None when all were."""
@@ -71,22 +105,58 @@ class LinearImage:
             pattern = tuple(tuple(r[(left + x) % len(r)] for x in range(len(r))) for r in rows)
         return replace(
             self,
-            rgb=self.rgb[area],
+            rgb=self._colours_in(left, top, width, height),
             clipped=self.clipped[area],
             mosaic=None if self.mosaic is None else self.mosaic[area],
             pattern=pattern,
             crop=None,
         )
 
+    def _colours_in(self, left: int, top: int, width: int, height: int) -> Tensor:
+        """Cut out colours; where nobody needed all of them yet, only these are filled in."""
+        rgb, mosaic, pattern = self.__dict__["rgb"], self.mosaic, self.pattern
+        if rgb is None and mosaic is not None and pattern is not None:
+            # from a whole number of periods before the part, so that the pattern stays
+            step, margin = len(pattern), reach(pattern)
+            first_row, first_column = (max(0, x - margin) // step * step for x in (top, left))
+            rows = slice(first_row, top + height + margin)
+            columns = slice(first_column, left + width + margin)
+            rgb = _fill_in(mosaic[..., rows, columns], pattern)
+            top, left = top - first_row, left - first_column
+        return cast(Tensor, rgb[..., top : top + height, left : left + width])
+
+    @property
+    def recorded(self) -> Tensor:
+        """What was recorded: the mosaic [B, 1, H, W], or colours where there is none."""
+        return self.rgb if self.mosaic is None else self.mosaic
+
+    def remade(
+        self, recorded: Tensor, *, clipped: Tensor | None = None, frames: int | None = None
+    ) -> "LinearImage":
+        """Give the picture with other `recorded` values; its colours follow them."""
+        return replace(
+            self,
+            rgb=recorded if self.mosaic is None else None,
+            mosaic=None if self.mosaic is None else recorded,
+            clipped=self.clipped if clipped is None else clipped,
+            frames=self.frames if frames is None else frames,
+        )
+
     @property
     def width(self) -> int:
         """Columns."""
-        return self.rgb.shape[-1]
+        return self.clipped.shape[-1]
 
     @property
     def height(self) -> int:
         """Rows."""
-        return self.rgb.shape[-2]
+        return self.clipped.shape[-2]
+
+
+def _fill_in(mosaic: Tensor, pattern: Pattern) -> Tensor:
+    """Demosaic pictures [B, 1, H, W] into [B, 3, H, W]."""
+    colours = [torch.from_numpy(demosaic(one, pattern))[None] for one in mosaic[:, 0].numpy()]
+    return colours[0] if len(colours) == 1 else torch.cat(colours)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

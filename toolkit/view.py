@@ -82,7 +82,7 @@ def observe_streak(
 def _grown(mask: Tensor, reach: float) -> Tensor:
     """Mask with everything within `reach` px of it, on a grid coarse enough to be quick."""
     step = max(1, int(reach / 4))
-    coarse = torch.nn.functional.max_pool2d(mask.to(torch.float32), step, ceil_mode=True)
+    coarse = torch.nn.functional.max_pool2d(mask.view(torch.uint8), step, ceil_mode=True)
     size = 2 * max(1, round(reach / step)) + 1
     coarse = torch.nn.functional.max_pool2d(coarse, size, stride=1, padding=size // 2)
     grown = coarse.repeat_interleave(step, dim=-2).repeat_interleave(step, dim=-1)

@@ -183,6 +183,15 @@ def test_the_background_follows_the_drift():
     assert torch.equal(scaled.clipped, ground.clipped)
 
 
+def test_a_mosaic_follows_the_drift_at_each_pixel_for_its_colour():
+    ratio = torch.tensor([1.1, 1.0, 0.9], dtype=torch.float64)
+    ground = with_mosaic(pair(NONE)[1])
+    scaled = scale_background(ground, ratio)
+    expected = (ratio[:, None, None] * ground.measured()).sum(1, keepdim=True) * ground.mosaic
+    assert torch.allclose(scaled.mosaic.double(), expected)
+    assert torch.equal((scaled.rgb * scaled.measured()).sum(1), scaled.mosaic[:, 0])
+
+
 def test_pictures_of_other_sizes_are_refused():
     shot, ground = pair(NONE)
     check_pair(shot, ground)

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from toolkit.errors import ConfigError
-from toolkit.imaging import DEMOSAICERS, demosaic
+from toolkit.demosaicing import DEMOSAICERS, demosaic, superpixels
+from toolkit.errors import ConfigError, ShapeError
 
 PATTERNS = [((0, 1), (1, 2)), ((1, 0), (2, 1)), ((2, 1), (1, 0)), ((1, 2), (0, 1))]
 XTRANS = (
@@ -13,6 +13,11 @@ XTRANS = (
     (0, 1, 0, 2, 1, 2),
     (1, 2, 1, 1, 0, 1),
 )
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(7)
 
 
 def by_hand(mosaic, pattern, weights):
@@ -73,3 +78,21 @@ def test_unknown_method_names_the_known_ones():
     assert list(DEMOSAICERS) == ["bilinear"]
     with pytest.raises(ConfigError, match="'magic' is unknown; use one of bilinear"):
         demosaic(np.zeros((4, 4), np.float32), PATTERNS[0], "magic")
+
+
+@pytest.mark.parametrize(("pattern", "size"), [*((p, 4) for p in PATTERNS), (XTRANS, 6)])
+def test_superpixels_average_what_each_colour_measured(rng, pattern, size):
+    mosaic = rng.normal(size=(3 * size + 1, 4 * size + 3)).astype(np.float32)
+    rows, columns = np.indices(mosaic.shape)
+    channels = np.asarray(pattern)[rows % len(pattern), columns % len(pattern)]
+    reduced = superpixels(mosaic, pattern, size)
+    assert (reduced.shape, reduced.dtype) == ((3, 3, 4), np.float32)
+    for y, x in np.ndindex(3, 4):
+        block = (slice(y * size, (y + 1) * size), slice(x * size, (x + 1) * size))
+        means = [mosaic[block][channels[block] == channel].mean() for channel in range(3)]
+        np.testing.assert_allclose(reduced[:, y, x], means, atol=1e-5)
+
+
+def test_superpixels_hold_whole_periods():
+    with pytest.raises(ShapeError, match="size is 3 px, but whole periods of 2 px are needed"):
+        superpixels(np.zeros((8, 8), np.float32), PATTERNS[0], 3)

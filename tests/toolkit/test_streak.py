@@ -32,6 +32,13 @@ def painted(image, rows, columns, colour):
     return LinearImage(rgb=rgb, clipped=image.clipped)
 
 
+def behind_mosaic(image):
+    pattern = ((0, 1), (1, 2))
+    channel = torch.tensor(pattern).repeat(image.height // 2 + 1, image.width // 2 + 1)
+    mosaic = image.rgb.gather(1, channel[None, None, : image.height, : image.width])
+    return LinearImage(mosaic=mosaic, clipped=image.clipped, pattern=pattern)
+
+
 def true_centres(shot):
     time = torch.linspace(0, shot.scene.exposure, 50, dtype=torch.float64)
     return shot.scene.camera.project(shot.scene.path.position(time))
@@ -72,6 +79,20 @@ def test_a_round_image_is_no_streak():
     still = render_shot(benchmark_scene(width_px=30, length_widths=0.1, size=(120, 100)), seed=0)
     with pytest.raises(StreakError, match="too small or too round"):
         search(still)
+
+
+@pytest.mark.parametrize("size", [(260, 220), (1021, 500)])
+def test_the_streak_is_found_behind_a_mosaic(size):
+    shot = render_shot(
+        benchmark_scene(width_px=24, length_widths=5, heading=0.5, size=size, seed=2), seed=2
+    )
+    image, background = (behind_mosaic(p) for p in (shot.image, shot.background))
+    estimator = Uniform(colour=shot.scene.appearance.colour)
+    streak = find_streak(image, background, estimate_noise(image, background), estimator)
+    gaps = torch.cdist(true_centres(shot), streak.axis[0]).min(1).values
+    assert gaps.max() < 2
+    assert float(streak.half_width) == pytest.approx(12, abs=3)
+    assert streak.mask.shape == image.clipped.shape
 
 
 @pytest.mark.parametrize("turn", [0.0, 1.2, 2.4])

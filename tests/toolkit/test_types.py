@@ -1,8 +1,11 @@
 import math
 
+import numpy as np
 import pytest
 import torch
 
+from toolkit.demosaicing import demosaic
+from toolkit.errors import ShapeError
 from toolkit.types import LinearImage, NoiseModel, ProfileFlag
 
 BAYER = ((0, 1), (1, 2))
@@ -47,6 +50,57 @@ def test_a_window_keeps_its_pixels_and_its_pattern(left, top):
     assert torch.equal(window.clipped, image.clipped[area])
     assert torch.equal(window.measured(), image.measured()[area])
     assert torch.equal((window.rgb * window.measured()).sum(1), window.mosaic[:, 0])
+
+
+XTRANS = (
+    (1, 0, 1, 1, 2, 1),
+    (2, 1, 2, 0, 1, 0),
+    (1, 0, 1, 1, 2, 1),
+    (1, 2, 1, 1, 0, 1),
+    (0, 1, 0, 2, 1, 2),
+    (1, 2, 1, 1, 0, 1),
+)
+
+
+def raw(pattern=BAYER, height=23, width=26, count=1):
+    rng = np.random.default_rng(3)
+    mosaic = torch.from_numpy(rng.normal(size=(count, 1, height, width)).astype(np.float32))
+    return LinearImage(mosaic=mosaic, clipped=mosaic > 2, pattern=pattern)
+
+
+@pytest.mark.parametrize("pattern", [BAYER, XTRANS])
+def test_the_colours_of_a_mosaic_are_filled_in_once(pattern):
+    image = raw(pattern, count=2)
+    expected = [demosaic(one, pattern) for one in image.mosaic[:, 0].numpy()]
+    assert torch.equal(image.rgb, torch.from_numpy(np.stack(expected)))
+    assert image.rgb is image.rgb
+    assert torch.equal((image.rgb * image.measured()).sum(1), image.mosaic[:, 0])
+
+
+@pytest.mark.parametrize("pattern", [BAYER, XTRANS])
+@pytest.mark.parametrize("place", [(0, 0, 26, 23), (1, 0, 9, 7), (9, 8, 11, 10), (15, 14, 11, 9)])
+def test_a_window_has_the_colours_of_the_whole(pattern, place):
+    left, top, width, height = place
+    window, whole = raw(pattern).window(*place), raw(pattern).rgb
+    expected = whole[..., top : top + height, left : left + width]
+    assert torch.allclose(window.rgb, expected, atol=1e-6)
+    assert torch.equal((window.rgb * window.measured()).sum(1), window.mosaic[:, 0])
+
+
+def test_a_remade_picture_follows_what_was_recorded():
+    image = raw()
+    brighter = image.remade(2 * image.recorded, frames=4)
+    assert torch.allclose(brighter.rgb, 2 * image.rgb)
+    assert torch.equal(brighter.mosaic, 2 * image.mosaic)
+    assert (brighter.frames, brighter.pattern) == (4, BAYER)
+    colours = picture()
+    assert torch.equal(colours.remade(2 * colours.recorded).rgb, 2 * colours.rgb)
+    assert colours.remade(colours.rgb).mosaic is None
+
+
+def test_a_picture_needs_colours_or_a_mosaic():
+    with pytest.raises(ShapeError, match="needs rgb, or a mosaic and its pattern"):
+        LinearImage(clipped=torch.zeros(1, 1, 4, 4, dtype=torch.bool))
 
 
 def test_the_variance_rises_with_the_level():

@@ -1,7 +1,7 @@
 """Pictures from files and to files: the only place with paths and decoders."""
 
-from toolkit.imaging.backgrounds import read_background
 from toolkit.demosaicing import DEMOSAICERS, demosaic
+from toolkit.imaging.backgrounds import read_background
 from toolkit.imaging.dng import write_dng
 from toolkit.imaging.metadata import exposure_time
 from toolkit.imaging.png import write_png16

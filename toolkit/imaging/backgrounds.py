@@ -62,26 +62,17 @@ def _average_stills(paths: Sequence[Path], response: str | Path | None) -> Linea
     first = read_image(paths[0], response=response)
     if len(paths) == 1:
         return first
-    rgb, clipped, mosaic = first.rgb, first.clipped, first.mosaic
+    total, clipped = first.recorded, first.clipped
     for path in paths[1:]:
         other = read_image(path, response=response)
         _check_alike(paths[0], first, path, other)
-        rgb = rgb + other.rgb
+        total = total + other.recorded
         clipped = clipped | other.clipped
-        if mosaic is not None and other.mosaic is not None:
-            mosaic = mosaic + other.mosaic
-    count = len(paths)
-    return replace(
-        first,
-        rgb=rgb / count,
-        clipped=clipped,
-        mosaic=None if mosaic is None else mosaic / count,
-        frames=count,
-    )
+    return first.remade(total / len(paths), clipped=clipped, frames=len(paths))
 
 
 def _check_alike(path: Path, image: LinearImage, other_path: Path, other: LinearImage) -> None:
-    if image.rgb.shape != other.rgb.shape:
+    if image.clipped.shape != other.clipped.shape:
         raise MismatchError(
             f"backgrounds differ in size: {path} has {image.width} x {image.height} pixels, "
             f"{other_path} {other.width} x {other.height}; use pictures of one camera setting"
@@ -99,6 +90,6 @@ def _check_alike(path: Path, image: LinearImage, other_path: Path, other: Linear
 
 
 def _check_content(path: Path, background: LinearImage) -> None:
-    low, high = torch.aminmax(background.rgb)
+    low, high = torch.aminmax(background.recorded)
     if not bool(torch.isfinite(high - low)) or bool(low == high):
         raise ImageError(f"background {path} is the same everywhere; give a picture of the scene")

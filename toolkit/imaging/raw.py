@@ -14,9 +14,9 @@ import tifffile
 import torch
 from numpy.typing import NDArray
 
+from toolkit.demosaicing import Pattern, reach, tile
 from toolkit.errors import ImageError
 from toolkit.files import one_line
-from toolkit.demosaicing import Pattern, demosaic, reach, tile
 from toolkit.imaging.metadata import exposure_time
 from toolkit.imaging.quiet import quiet_decoders
 from toolkit.imaging.stored import check_size, exposure_tensor
@@ -41,9 +41,9 @@ class Window:
 def read_raw(path: Path, response: Response = LINEAR) -> LinearImage:
     """Read a RAW picture in sensor orientation, cut to the crop that its maker recommends.
 
-    A Bayer or X-Trans mosaic is kept beside its demosaiced picture; RAW files that hold colours or
-    grey already have none. `crop` counts from the visible area, the sensor without its masked
-    margins.
+    A Bayer or X-Trans mosaic is kept as it is, and demosaiced when somebody needs all colours; RAW
+    files that hold colours or grey already have none. `crop` counts from the visible area, the
+    sensor without its masked margins.
 
     Args:
         path: any file libraw reads.
@@ -71,10 +71,10 @@ def read_raw(path: Path, response: Response = LINEAR) -> LinearImage:
         light = _normalise(values, black, white)
         met_white = values >= white
         reported = float(raw.other.shutter_speed)
-    light, rgb = _colours(light, pattern, response)
+    light = _respond(light, pattern, response)
     crop = (window.left - visible.left, window.top - visible.top, visible.width, visible.height)
     return LinearImage(
-        rgb=torch.from_numpy(rgb)[None],
+        rgb=torch.from_numpy(light)[None] if pattern is None else None,
         clipped=torch.from_numpy(_spread(met_white, pattern))[None, None],
         exposure=exposure_tensor(_exposure(path, reported)),
         mosaic=None if pattern is None else torch.from_numpy(light)[None, None],
@@ -229,16 +229,16 @@ def _normalise(
     return light
 
 
-def _colours(
+def _respond(
     light: NDArray[np.float32], pattern: Pattern | None, response: Response
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Apply the response; give the light as measured and as RGB [3, H, W]."""
+) -> NDArray[np.float32]:
+    """Apply the response; give a mosaic [H, W], or colours [3, H, W]."""
     if pattern is None:
-        return light, response.decode(light)
-    if response.curves is not None:
-        channels = tile(np.asarray(pattern), light.shape)
-        light = np.choose(channels, [response.light(light, c) for c in range(3)])
-    return light, demosaic(light, pattern)
+        return response.decode(light)
+    if response.curves is None:
+        return light
+    channels = tile(np.asarray(pattern), light.shape)
+    return np.choose(channels, [response.light(light, c) for c in range(3)])
 
 
 def _spread(met_white: NDArray[np.bool_], pattern: Pattern | None) -> NDArray[np.bool_]:
