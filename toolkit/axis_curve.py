@@ -12,6 +12,7 @@ along the streak.
 
 import math
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -21,13 +22,33 @@ from toolkit.errors import ConfigError
 from toolkit.least_squares import Solution, minimise
 from toolkit.splines import SIZES, SplineBasis, fit_smooth, fit_spline
 
-GRAZE_STEPS = 4
+GRAZE_STEPS = 3
 """Gauss-Newton steps to the point of the axis nearest to a ray; each gains two digits or more."""
 MAX_STEPS = 40
 IMAGE_CONTINUATION, DEPTH_CONTINUATION = 2, 1
 """Degrees with which path and inverse depth go on beyond the contours, over the streak's ends."""
 DEPTH_SIZES = (2, 3, 4, 5, 6, 8)
 """Coefficients tried for the inverse depth."""
+
+
+class Curve(Protocol):
+    """A path of the ball's centre with a parameter that runs along the streak."""
+
+    def __call__(self, s: Tensor, /) -> Tensor:
+        """Points of the curve at s [...]: [..., 3] m."""
+
+    def tangent(self, s: Tensor, /) -> Tensor:
+        """Derivative of the point in s [..., 3]."""
+
+    def point_and_tangent(self, s: Tensor, /) -> tuple[Tensor, Tensor]:
+        """Both at s [...]."""
+
+    def J_point(self, s: Tensor, /) -> Tensor:
+        """Derivative of points at fixed s in the curve's K parameters: [..., 3, K]."""
+
+    @property
+    def span(self) -> float:
+        """How far s runs along the streak."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,10 +68,14 @@ class AxisCurve:
 
     def tangent(self, s: Tensor) -> Tensor:
         """Derivative of the point in s, [..., 3] m per px."""
+        return self.point_and_tangent(s)[1]
+
+    def point_and_tangent(self, s: Tensor) -> tuple[Tensor, Tensor]:
+        """Give both at s [...], [..., 3] each: much of the work is the same."""
         normalised, inverse_depth = self._parts(s, 0)
         slope, depth_slope = self._parts(s, 1)
         point = _homogeneous(normalised, 1.0) / inverse_depth
-        return (_homogeneous(slope, 0.0) - point * depth_slope) / inverse_depth
+        return point, (_homogeneous(slope, 0.0) - point * depth_slope) / inverse_depth
 
     def J_point(self, s: Tensor) -> Tensor:
         """Derivative of points at fixed s in (across [K], inverse depth [L]): [..., 3, K + L]."""
@@ -59,6 +84,16 @@ class AxisCurve:
         point = _homogeneous(normalised, 1.0) / inverse_depth
         deeper = -point[..., None] * self.depth_basis(s)[..., None, :]
         return torch.cat([sideways, deeper], dim=-1) / inverse_depth[..., None]
+
+    @property
+    def span(self) -> float:
+        """How far s runs along the streak, px."""
+        return self.image_basis.stop - self.image_basis.start
+
+    @property
+    def is_line(self) -> bool:
+        """Whether the curve is straight in space."""
+        return len(self.image) == 2 and len(self.inverse_depth) == 2
 
     @property
     def parameters(self) -> Tensor:
@@ -74,7 +109,7 @@ class AxisCurve:
 
     def curvature_radius(self, s: Tensor) -> Tensor:
         """Radius of the curve's bend at s [N], m; infinite where straight."""
-        step = (self.image_basis.stop - self.image_basis.start) / 200
+        step = self.span / 200
         tangent = self.tangent(s)
         bend = (self.tangent(s + step) - self.tangent(s - step)) / (2 * step)
         speed = torch.linalg.vector_norm(tangent, dim=-1)
@@ -97,6 +132,11 @@ class Edges:
     normal: Tensor  # [P, 2] unit
     covariance: Tensor  # [P, 2, 2] of centre and half width, px^2
     weight: Tensor  # [P] 1, or less for outliers, 0 for profiles to ignore
+
+    def rays(self, camera: Camera) -> tuple[Tensor, Tensor]:
+        """Unit rays of both edges and their change for one px along the normal, [P, 2, 3] each."""
+        swing: Tensor = camera.J_unproject(self.pixels) @ self.normal[:, None, :, None]
+        return camera.unproject(self.pixels), swing[..., 0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -180,14 +220,11 @@ def fit_axis(
     Returns:
         AxisFit of the smallest Bayesian information criterion.
     """
-    rays = camera.unproject(edges.pixels)
-    swing = camera.J_unproject(edges.pixels) @ edges.normal[:, None, :, None]
+    rays, swing = edges.rays(camera)
     per_coefficient = math.log(2 * float((edges.weight > 0).sum()))
     curve, best, lowest, since_best = start, None, math.inf, 0
     for size in sizes:
-        fit = _fit_one(
-            _with_depth_size(curve, size), edges, rays, swing[..., 0], ball_radius, steps
-        )
+        fit = _fit_one(_with_depth_size(curve, size), edges, rays, swing, ball_radius, steps)
         curve = fit.curve
         criterion = fit.chi2 + per_coefficient * size
         if best is None or criterion < lowest:
@@ -204,7 +241,7 @@ def fit_axis(
 def _fit_one(
     curve: AxisCurve, edges: Edges, rays: Tensor, swing: Tensor, ball_radius: float, steps: int
 ) -> AxisFit:
-    whiten = _whitening(edges)
+    whiten = whitening(edges.covariance, edges.weight)
     usable = float((edges.weight > 0).sum())
 
     def raw(parameters: Tensor) -> tuple[Tensor, Tensor]:
@@ -212,8 +249,8 @@ def _fit_one(
 
     def problem(parameters: Tensor, _: Tensor) -> tuple[Tensor, Tensor]:
         residual, J = raw(parameters[0])
-        residual = (whiten @ _centre_and_half_width(residual)[..., None])[..., 0]
-        J = whiten @ _centre_and_half_width(J)
+        residual = (whiten @ to_centre(residual)[..., None])[..., 0]
+        J = whiten @ to_centre(J)
         return residual.reshape(1, -1), J.reshape(1, -1, J.shape[-1])
 
     solution: Solution = minimise(
@@ -234,7 +271,7 @@ def _fit_one(
 
 
 def graze_residual(
-    curve: AxisCurve, s: Tensor, rays: Tensor, swing: Tensor, ball_radius: float
+    curve: Curve, s: Tensor, rays: Tensor, swing: Tensor, ball_radius: float
 ) -> tuple[Tensor, Tensor]:
     """Say by how many px each contour point lies inside (-) or outside (+) the curve's tube.
 
@@ -246,7 +283,7 @@ def graze_residual(
         ball_radius: m.
 
     Returns:
-        Residuals along the normal [P, 2] px, and their derivative in the parameters [P, 2, K + L].
+        Residuals along the normal [P, 2] px, and their derivative in the parameters [P, 2, K].
     """
     nearest = nearest_parameter(curve, s[:, None].expand(-1, 2), rays)
     point = curve(nearest)
@@ -264,29 +301,28 @@ def graze_residual(
     return residual, pull[..., 0, :] / per_px[..., None]
 
 
-def nearest_parameter(curve: AxisCurve, s: Tensor, rays: Tensor) -> Tensor:
+def nearest_parameter(curve: Curve, s: Tensor, rays: Tensor) -> Tensor:
     """Give the parameter at which the curve is nearest to each ray, starting from s [...]."""
-    span = curve.image_basis.stop - curve.image_basis.start
     for _ in range(GRAZE_STEPS):
-        moment = torch.linalg.cross(curve(s), rays)
-        slope = torch.linalg.cross(curve.tangent(s), rays)
+        point, tangent = curve.point_and_tangent(s)
+        moment, slope = torch.linalg.cross(point, rays), torch.linalg.cross(tangent, rays)
         step = -(moment * slope).sum(-1) / (slope * slope).sum(-1).clamp_min(1e-300)
-        s = s + step.clamp(-span / 4, span / 4)
+        s = s + step.clamp(-curve.span / 4, curve.span / 4)
     return s
 
 
-def _centre_and_half_width(sides: Tensor) -> Tensor:
+def to_centre(sides: Tensor) -> Tensor:
     """Turn shifts of the left and right edge [P, 2, ...] into those of centre and half width."""
     left, right = sides[:, 0], sides[:, 1]
     return torch.stack([(left + right) / 2, (right - left) / 2], dim=1)
 
 
-def _whitening(edges: Edges) -> Tensor:
-    """W with W'W the inverse covariance of (centre, half width) times the weight [P, 2, 2]."""
-    identity = torch.eye(2, dtype=edges.covariance.dtype).expand_as(edges.covariance)
-    covariance = torch.where((edges.weight > 0)[:, None, None], edges.covariance, identity)
-    factor: Tensor = torch.linalg.cholesky(torch.linalg.inv(covariance)).mT
-    return factor * edges.weight.sqrt()[:, None, None]
+def whitening(covariance: Tensor, weight: Tensor) -> Tensor:
+    """Give W with W'W the inverse covariance [P, K, K] times the weight [P]; 0 without weight."""
+    identity = torch.eye(covariance.shape[-1], dtype=covariance.dtype).expand_as(covariance)
+    usable = torch.where((weight > 0)[:, None, None], covariance, identity)
+    factor: Tensor = torch.linalg.cholesky(torch.linalg.inv(usable)).mT
+    return factor * weight.sqrt()[:, None, None]
 
 
 def _with_depth_size(curve: AxisCurve, size: int) -> AxisCurve:

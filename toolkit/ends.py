@@ -7,13 +7,14 @@ Source: MATHS, "The exact streak of a moving ball", the clipped interval. [deriv
 the ends out.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from toolkit.axis_curve import AxisCurve, nearest_parameter
+from toolkit.axis_curve import Curve, nearest_parameter
 from toolkit.camera import Camera
 from toolkit.errors import StreakError
 from toolkit.types import ProfileFit
@@ -22,9 +23,13 @@ CAP_REACH = 1.6
 """Half widths about an end within which pixels tell where it lies."""
 MAX_PIXELS = 12_000
 """About an end; where there are more, every second or third serves well enough."""
+COARSE = 8.0
+"""px from one ray found through the lens to the next; those between are interpolated."""
 STEPS = 25
-SETTLED = 1e-3
-"""px."""
+SETTLED = 1e-5
+"""Of the streak's length."""
+LONGEST_STEP = 3e-3
+"""Of the streak's length, in a Newton step that refines where the ball reaches a ray."""
 
 LOST_END = (
     "the streak's ends cannot be located, so that the ball's place along its path stays open; "
@@ -48,8 +53,8 @@ class OpacityMap:
 class Ends:
     """Parameters of the axis at which the ball stood when the exposure began and ended."""
 
-    s: Tensor  # [2] px
-    std: Tensor  # [2] px
+    s: Tensor  # [2] in the curve's own unit
+    std: Tensor  # [2]
     chi2_per_dof: float
 
 
@@ -70,7 +75,7 @@ def rough_ends(fit: ProfileFit, picture: int = 0) -> tuple[float, float]:
 
 def locate_ends(
     rough: tuple[float, float],
-    curve: AxisCurve,
+    curve: Curve,
     clock: Clock,
     clock_rate: Clock,
     opacity: OpacityMap,
@@ -80,7 +85,7 @@ def locate_ends(
     """Find both ends by least squares on the opacity of the pixels about them.
 
     Args:
-        rough: first guess of the two parameters, px along the axis.
+        rough: first guess of the two parameters.
         curve: the ball's path.
         clock: share of the exposure passed when the ball is at s.
         clock_rate: its derivative in s.
@@ -105,7 +110,7 @@ def locate_ends(
 def _locate_end(
     rough: float,
     sign: float,
-    curve: AxisCurve,
+    curve: Curve,
     clock: Clock,
     clock_rate: Clock,
     opacity: OpacityMap,
@@ -114,9 +119,10 @@ def _locate_end(
 ) -> tuple[Tensor, Tensor, float]:
     """Find one end; sign is 1 at the start, -1 at the stop, where time runs backwards."""
     end = torch.tensor(rough, dtype=torch.float64)
-    pixels, alpha, variance = _cap_pixels(end, curve, opacity, camera, ball_radius)
-    rays = camera.unproject(pixels)
-    enter, leave, is_covered = covering_interval(curve, end, rays, ball_radius)
+    cap = _cap_pixels(end, curve, opacity, camera, ball_radius)
+    rays, nearest = _rays_and_nearest(end, curve, cap, camera)
+    enter, leave, is_covered = covering_interval(curve, nearest, rays, ball_radius)
+    alpha, variance = cap.alpha, cap.variance
     leading, trailing = (leave, enter) if sign > 0 else (enter, leave)
     low, high = float(enter.min()), float(leave.max())
     weight = torch.where(is_covered, 1 / variance, 0)
@@ -129,7 +135,7 @@ def _locate_end(
         information = (weight * J * J).sum().clamp_min(1e-12)
         step = -(weight * J * residual).sum() / information
         end = (end + step).clamp(low, high)
-        if abs(float(step)) < SETTLED:
+        if abs(float(step)) < SETTLED * curve.span:
             break
     count = max(int(is_covered.sum()) - 1, 1)
     chi2 = float((weight * residual * residual).sum()) / count
@@ -137,21 +143,20 @@ def _locate_end(
 
 
 def covering_interval(
-    curve: AxisCurve, s: Tensor, rays: Tensor, ball_radius: float
+    curve: Curve, nearest: Tensor, rays: Tensor, ball_radius: float
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Give the stretch of the axis from which the ball covers each ray, near s.
+    """Give the stretch of the axis from which the ball covers each ray, about its nearest point.
 
     Two Newton steps on |A(s) x u| = R refine the closed form for a straight stretch.
 
     Returns:
-        Where the ball reaches the ray and where it leaves it [N] px, and whether it covers it at
+        Where the ball reaches the ray and where it leaves it [N], and whether it covers it at
         all [N] bool.
     """
-    nearest = nearest_parameter(curve, s.expand(rays.shape[:-1]), rays)
     gap, slope = _moment(curve, nearest, rays)
     chord = ball_radius**2 - (gap * gap).sum(-1)
     half = chord.clamp_min(0).sqrt() / torch.linalg.vector_norm(slope, dim=-1)
-    bounds = []
+    bounds, longest = [], LONGEST_STEP * curve.span
     for side in (-1.0, 1.0):
         at = nearest + side * half
         for _ in range(2):
@@ -159,21 +164,31 @@ def covering_interval(
             excess = (moment * moment).sum(-1) - ball_radius**2
             growth = 2 * (moment * change).sum(-1)
             is_steep = growth * side > 0
-            at = at - torch.where(is_steep, excess / torch.where(is_steep, growth, 1), 0).clamp(
-                -1, 1
-            )
+            step = torch.where(is_steep, excess / torch.where(is_steep, growth, 1), 0)
+            at = at - step.clamp(-longest, longest)
         bounds.append(at)
     return bounds[0], bounds[1], chord > 0
 
 
-def _moment(curve: AxisCurve, s: Tensor, rays: Tensor) -> tuple[Tensor, Tensor]:
-    return torch.linalg.cross(curve(s), rays), torch.linalg.cross(curve.tangent(s), rays)
+def _moment(curve: Curve, s: Tensor, rays: Tensor) -> tuple[Tensor, Tensor]:
+    point, tangent = curve.point_and_tangent(s)
+    return torch.linalg.cross(point, rays), torch.linalg.cross(tangent, rays)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Cap:
+    """Pixels about an end, [H, W] of them."""
+
+    x: Tensor  # [W] px
+    y: Tensor  # [H] px
+    is_usable: Tensor  # [H, W] bool
+    alpha: Tensor  # [N] opacity of the usable ones
+    variance: Tensor  # [N]
 
 
 def _cap_pixels(
-    end: Tensor, curve: AxisCurve, opacity: OpacityMap, camera: Camera, ball_radius: float
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Pixels [N, 2] about an end with their opacity and variance [N]."""
+    end: Tensor, curve: Curve, opacity: OpacityMap, camera: Camera, ball_radius: float
+) -> _Cap:
     point = curve(end)
     middle = camera.project(point)
     reach = CAP_REACH * ball_radius / float(point[2]) * max(camera.fx, camera.fy)
@@ -186,14 +201,39 @@ def _cap_pixels(
     if right - left < 3 or bottom - top < 3:
         raise StreakError(LOST_END)
     step = max(1, int(((right - left) * (bottom - top) / MAX_PIXELS) ** 0.5))
-    rows, columns = torch.meshgrid(
-        torch.arange(top, bottom, step), torch.arange(left, right, step), indexing="ij"
-    )
-    pixels = torch.stack([columns, rows], dim=-1).reshape(-1, 2).to(torch.float64) + corner
     window = (slice(top, bottom, step), slice(left, right, step))
-    alpha, variance = opacity.alpha[window].flatten(), opacity.variance[window].flatten()
-    usable = ((pixels - middle).norm(dim=-1) <= reach) & torch.isfinite(variance)
-    return pixels[usable], alpha[usable].double(), variance[usable].double()
+    alpha, variance = opacity.alpha[window], opacity.variance[window]
+    x = torch.arange(left, right, step) + corner[0]
+    y = torch.arange(top, bottom, step) + corner[1]
+    is_near = (x - middle[0]) ** 2 + (y[:, None] - middle[1]) ** 2 <= reach**2
+    is_usable = is_near & torch.isfinite(variance)
+    return _Cap(
+        x=x,
+        y=y,
+        is_usable=is_usable,
+        alpha=alpha[is_usable].double(),
+        variance=variance[is_usable].double(),
+    )
+
+
+def _rays_and_nearest(
+    end: Tensor, curve: Curve, cap: _Cap, camera: Camera
+) -> tuple[Tensor, Tensor]:
+    """Give rays [N, 3] of a cap's pixels and where the curve is nearest to them [N].
+
+    Both change so evenly that they are found on a coarse grid and interpolated, to 0.01 px.
+    """
+    rows, columns = (max(2, math.ceil(float(at[-1] - at[0]) / COARSE) + 1) for at in (cap.y, cap.x))
+    x = torch.linspace(float(cap.x[0]), float(cap.x[-1]), columns, dtype=torch.float64)
+    y = torch.linspace(float(cap.y[0]), float(cap.y[-1]), rows, dtype=torch.float64)
+    pixels = torch.stack(torch.meshgrid(x, y, indexing="xy"), dim=-1)
+    rays = camera.unproject(pixels)
+    nearest = nearest_parameter(curve, end.expand(rows, columns), rays)
+    coarse = torch.cat([rays, nearest[..., None]], dim=-1).movedim(-1, 0)[None]
+    size = (len(cap.y), len(cap.x))
+    fine = torch.nn.functional.interpolate(coarse, size, mode="bilinear", align_corners=True)
+    values = fine[0][:, cap.is_usable].mT
+    return torch.nn.functional.normalize(values[:, :3], dim=-1), values[:, 3]
 
 
 def _median_filtered(values: Tensor) -> Tensor:

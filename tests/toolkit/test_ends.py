@@ -3,7 +3,7 @@ import functools
 import pytest
 import torch
 
-from toolkit.axis_curve import AxisCurve
+from toolkit.axis_curve import AxisCurve, nearest_parameter
 from toolkit.camera import Camera
 from toolkit.ends import OpacityMap, covering_interval, locate_ends, rough_ends
 from toolkit.errors import StreakError
@@ -129,9 +129,8 @@ def test_the_ball_covers_a_ray_between_the_bounds(name):
     middle = CAMERA.project(path.position(torch.tensor([0.3 * EXPOSURE])))[0]
     y, x = torch.meshgrid(torch.arange(-22.0, 23, 3), torch.arange(-30.0, 31, 5), indexing="ij")
     rays = CAMERA.unproject(middle + torch.stack([x, y], -1).reshape(-1, 2).double())
-    enter, leave, is_covered = covering_interval(
-        curve, torch.tensor(0.3 * LENGTH).double(), rays, BALL_RADIUS
-    )
+    nearest = nearest_parameter(curve, torch.tensor(0.3 * LENGTH).double().expand(len(rays)), rays)
+    enter, leave, is_covered = covering_interval(curve, nearest, rays, BALL_RADIUS)
     s = torch.linspace(-60, LENGTH + 60, 20_001, dtype=torch.float64)
     covers = torch.linalg.cross(curve(s)[:, None], rays[None]).norm(dim=-1) <= BALL_RADIUS
     assert torch.equal(is_covered, covers.any(0))
