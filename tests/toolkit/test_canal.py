@@ -12,6 +12,7 @@ from toolkit.canal import (
 )
 from toolkit.errors import ShapeError
 from toolkit.synthetic import CircularPath, ParabolicPath, StraightPath, true_contours
+from toolkit.synthetic.truth import grazing_points
 
 BALL_RADIUS = 0.05
 EXPOSURE = 0.02
@@ -35,26 +36,12 @@ CURVED = {
 PATHS = STRAIGHT | CURVED
 
 
-def contour_points(path, time):
-    """Points in space where viewing rays graze the tube, and its normals there, [2, N, 3] each."""
-    centre, velocity = path.position(time), path.velocity(time)
-    along = torch.nn.functional.normalize(velocity, dim=-1)
-    across = centre - (centre * along).sum(-1, keepdim=True) * along
-    distance = torch.linalg.vector_norm(across, dim=-1, keepdim=True)
-    e1 = across / distance
-    e2 = torch.linalg.cross(along, e1)
-    cosine = -BALL_RADIUS / distance
-    sine = (1 - cosine**2).sqrt()
-    normals = torch.stack([cosine * e1 + sine * e2, cosine * e1 - sine * e2])
-    return centre + BALL_RADIUS * normals, normals
-
-
 def contours(path, count=60, shift=0.0):
     """Rays, their derivatives along the contour, and the true normals, at equal steps of time."""
     step = EXPOSURE / (count - 1)
     time = torch.linspace(0, EXPOSURE, count, dtype=torch.float64) + shift * step
     time.requires_grad_(True)
-    points, normals = contour_points(path, time)
+    points, normals, _ = grazing_points(path, BALL_RADIUS, time)
     rays = points / torch.linalg.vector_norm(points, dim=-1, keepdim=True)
     tangents = torch.empty_like(rays)
     for side in range(2):

@@ -3,13 +3,14 @@ import functools
 import pytest
 import torch
 
-from toolkit.axis_curve import AxisCurve, nearest_parameter
+from toolkit.axis_curve import nearest_parameter
 from toolkit.camera import Camera
 from toolkit.ends import OpacityMap, covering_interval, locate_ends, rough_ends
 from toolkit.errors import StreakError
 from toolkit.motion import Pace, make_clock
 from toolkit.splines import SplineBasis
 from toolkit.synthetic import PlainBall, Scene, StraightPath, flat_background, render_shot
+from toolkit.synthetic.truth import true_axis
 from toolkit.types import ProfileFit
 
 BALL_RADIUS = 0.05
@@ -24,17 +25,7 @@ PATHS = {
 
 
 def exact_curve(path):
-    ends = path.position(torch.tensor([0.0, EXPOSURE]))
-    direction = (ends[1] / ends[1, 2] - ends[0] / ends[0, 2])[:2]
-    across = torch.stack([-direction[1], direction[0]]) / direction.norm()
-    basis = SplineBasis(start=0.0, stop=LENGTH, size=2)
-    return AxisCurve(
-        image_basis=basis,
-        depth_basis=basis,
-        image=ends[:, :2] / ends[:, 2:],
-        inverse_depth=1 / ends[:, 2],
-        across=across.expand(2, 2),
-    )
+    return true_axis(path, EXPOSURE, LENGTH)
 
 
 def exact_clock(path, curve):

@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from toolkit.axis_curve import AxisCurve, Edges, fit_axis
+from toolkit.axis_curve import Edges, fit_axis
 from toolkit.camera import Camera
 from toolkit.motion import (
     PATH_POINTS,
@@ -26,6 +26,7 @@ from toolkit.synthetic import (
     render_shot,
     true_contours,
 )
+from toolkit.synthetic.truth import true_axis
 
 BALL_RADIUS = 0.05
 EXPOSURE = 0.02
@@ -41,17 +42,7 @@ FASTER = ParabolicPath(
 
 def line_curve(path):
     """The exact axis of a path along a line; s runs from 0 to LENGTH during the exposure."""
-    ends = path.position(torch.tensor([0.0, EXPOSURE]))
-    direction = (ends[1] / ends[1, 2] - ends[0] / ends[0, 2])[:2]
-    across = torch.stack([-direction[1], direction[0]]) / direction.norm()
-    basis = SplineBasis(start=0.0, stop=LENGTH, size=2)
-    return AxisCurve(
-        image_basis=basis,
-        depth_basis=basis,
-        image=ends[:, :2] / ends[:, 2:],
-        inverse_depth=1 / ends[:, 2],
-        across=across.expand(2, 2),
-    )
+    return true_axis(path, EXPOSURE, LENGTH)
 
 
 def s_of(curve, points):
