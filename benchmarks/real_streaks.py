@@ -38,18 +38,6 @@ BALL_RADIUS = 0.036  # m
 Points = NDArray[np.float64]
 
 
-def assumed_camera(width: int, height: int, focal: float) -> Camera:
-    """Give a camera without distortion, looking along the picture's middle."""
-    return Camera(
-        width=width,
-        height=height,
-        fx=focal,
-        fy=focal,
-        cx=(width - 1) / 2,
-        cy=(height - 1) / 2,
-    )
-
-
 def outward_distances(points: Points, result: Measurement) -> list[float]:
     """Distance of each point from the contour it is nearest to, where the contour reaches it."""
     sides = [np.array(result.contours.left), np.array(result.contours.right)]
@@ -103,7 +91,7 @@ def main() -> None:
     listed = tomllib.loads(LIST.read_text())
     clip = arguments.data / "circle.avi"
     background = read_background([clip], response="srgb")
-    camera, rows = assumed_camera(640, 480, 600.0), []
+    camera, rows = Camera.centred(640, 480, 600.0), []
     jobs = [
         (
             f"frame {entry['frame']}",
@@ -125,7 +113,7 @@ def main() -> None:
             arguments.data / still["image"],
             None,
             ground,
-            assumed_camera(960, 600, 900.0),
+            Camera.centred(960, 600, 900.0),
             still["colour"],
         )
     )

@@ -58,6 +58,22 @@ class Camera:
         if min(self.fx, self.fy) <= 0 or min(self.width, self.height) <= 0:
             raise ConfigError("the camera needs positive fx, fy, width and height; calibrate again")
 
+    @classmethod
+    def centred(
+        cls, width: int, height: int, focal: float, distortion: tuple[float, ...] = ()
+    ) -> "Camera":
+        """Give a camera of one focal length, px, that looks along the middle of its picture."""
+        return cls(
+            width=width,
+            height=height,
+            fx=focal,
+            fy=focal,
+            cx=(width - 1) / 2,
+            cy=(height - 1) / 2,
+            distortion=distortion,
+            model="rational" if len(distortion) == 8 else "pinhole",
+        )
+
     @property
     def parameters(self) -> Tensor:
         """[fx fy cx cy, distortion...] as float64 [4 + K]."""

@@ -31,6 +31,14 @@ def make_camera(distortion=(), **changes):
     return Camera(distortion=tuple(distortion), **settings)
 
 
+def test_a_centred_camera_looks_along_the_middle_of_its_picture():
+    camera = Camera.centred(641, 480, 600.0, (0.1,) * 8)
+    middle = camera.project(torch.tensor([[0.0, 0.0, 2.0]], dtype=torch.float64))[0]
+    assert middle.tolist() == [320, 239.5]
+    assert (camera.fx, camera.fy, camera.model) == (600, 600, "rational")
+    assert Camera.centred(641, 480, 600.0).model == "pinhole"
+
+
 def matrix(camera):
     return np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
 

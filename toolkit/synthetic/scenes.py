@@ -117,16 +117,7 @@ def _camera_for(
     focal = width_px / 2 * math.sqrt(distance_R**2 - 1)
     side = math.ceil(1.05 * width_px * (length_widths + 1 + sagitta_widths)) + 60
     width, height = size or (side, side)
-    return Camera(
-        width=width,
-        height=height,
-        fx=focal,
-        fy=focal,
-        cx=(width - 1) / 2,
-        cy=(height - 1) / 2,
-        distortion=distortion,
-        model="rational" if len(distortion) == 8 else "pinhole",
-    )
+    return Camera.centred(width, height, focal, distortion)
 
 
 def _on_ray(normalised: tuple[float, float], distance: float) -> Vector:
