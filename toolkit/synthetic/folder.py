@@ -52,8 +52,8 @@ def write_shot(
 ) -> None:
     """Write a shot, its background, rig.toml, truth.json, and what tells the camera.
 
-    That is camera.toml with the true camera, known exactly, or, where `boards` are given, their photos in boards/;
-    a calibration from them is to leave the camera.toml which the rig names.
+    That is camera.toml with the true camera, known exactly, or, where `boards` are given, their
+    photos in boards/; a calibration from them is to leave the camera.toml which the rig names.
 
     Args:
         folder: where to; made when absent, and cleared of an earlier simulation.
