@@ -14,6 +14,8 @@ MIN_PROFILES = 8
 SHORTEST = 2.6
 """Length of a streak over its width, tip to tip, from which MIN_PROFILES are good, as a rule."""
 CONTOUR_POINTS = 100
+NORMAL_STD = 1e-4
+"""Radians to which the directions of the profiles are followed."""
 
 
 def mark_profiles(fit: ProfileFit, flag: ProfileFlag, chosen: Tensor) -> ProfileFit:
@@ -22,11 +24,12 @@ def mark_profiles(fit: ProfileFit, flag: ProfileFlag, chosen: Tensor) -> Profile
 
 
 def smooth_contours(fit: ProfileFit, picture: int = 0) -> tuple[Contours, ProfileFit]:
-    """Fit a line, a parabola or a spline to each side's edge points, whichever the data ask for.
+    """Fit both outlines by lines, parabolas or splines, whichever the data ask for.
 
-    Source: Caglioti & Giusti 2007, section 5, "Fitting". Deviation: the order is chosen by an
-    information criterion, and single profiles that disagree with their neighbours lose their weight
-    and are flagged OUTLIER.
+    Source: Caglioti & Giusti 2007, section 5, "Fitting". Deviations: not the two sides are smoothed
+    but what errs independently, the middle line and the half width, which needs fewer coefficients;
+    their orders are chosen by an information criterion; and single profiles that disagree with
+    their neighbours lose their weight and are flagged OUTLIER.
 
     Args:
         fit: the profiles; flagged ones are ignored.
@@ -41,8 +44,8 @@ def smooth_contours(fit: ProfileFit, picture: int = 0) -> tuple[Contours, Profil
     good = fit.good[picture]
     check_enough(fit, picture)
     position, covariance = fit.position[picture], fit.covariance[picture]
-    sides = [_side(fit, picture, side) for side in (-1, 1)]
-    is_outlier = good & ((sides[0].weight == 0) | (sides[1].weight == 0))
+    middle, width = _middle_and_width(fit, picture)
+    is_outlier = good & ((middle.weight == 0) | (width.weight == 0))
     rows = torch.zeros_like(fit.good)
     rows[picture] = is_outlier
     fit = mark_profiles(fit, ProfileFlag.OUTLIER, rows)
@@ -56,13 +59,14 @@ def smooth_contours(fit: ProfileFit, picture: int = 0) -> tuple[Contours, Profil
     )
     weight = torch.where(good, 1 / covariance[:, 2, 2], 0)
     opacity = fit_smooth(position, fit.opacity[picture][:, None], weight, orders(fit, picture))
+    points, tangents = _sides(fit, picture, middle, width, at)
     contours = Contours(
         position=at,
-        points=torch.stack([side(at) for side in sides]),
-        tangents=torch.stack([_unit(side(at, 1)) for side in sides]),
-        std=torch.stack([side.std(at) for side in sides]),
+        points=points,
+        tangents=tangents,
+        std=(middle.std(at) ** 2 + width.std(at) ** 2).sqrt().expand(2, -1),
         opacity=opacity(at)[:, 0],
-        order=max(side.basis.size for side in sides),
+        order=max(middle.basis.size, width.basis.size),
     )
     return contours, fit
 
@@ -168,16 +172,37 @@ def _size(fit: ProfileFit, picture: int) -> str:
     is_seen = fit.good[picture] if bool(fit.good[picture].any()) else fit.samples[picture] > 0
     position, half_width = fit.position[picture], fit.half_width[picture][is_seen]
     length, width = float(position[-1] - position[0]), 2 * float(half_width.median())
-    return f"a streak {length:.0f} px long and {width:.0f} px wide ({length / max(width, 1):.1f} widths)"
+    widths = length / max(width, 1)
+    return f"a streak {length:.0f} px long and {width:.0f} px wide ({widths:.1f} widths)"
 
 
-def _side(fit: ProfileFit, picture: int, side: int) -> SplineFit:
-    """Smooth the edge points of one side, -1 left or 1 right, along the axis."""
-    covariance = fit.covariance[picture]
-    variance = covariance[:, 0, 0] + covariance[:, 1, 1] + 2 * side * covariance[:, 0, 1]
-    weight = torch.where(fit.good[picture], 1 / variance.clamp_min(1e-8), 0)
-    points = fit.edges[picture, :, (side + 1) // 2]
-    return fit_smooth(fit.position[picture], points, weight, orders(fit, picture))
+def _middle_and_width(fit: ProfileFit, picture: int) -> tuple[SplineFit, SplineFit]:
+    """Smooth the centre points and, of an order of its own, the half width along the axis."""
+    position, covariance = fit.position[picture], fit.covariance[picture]
+    sizes = orders(fit, picture)
+    smooth = [
+        fit_smooth(
+            position,
+            values[picture],
+            torch.where(fit.good[picture], 1 / covariance[:, i, i].clamp_min(1e-8), 0),
+            sizes,
+        )
+        for i, values in enumerate((fit.middle, fit.half_width[..., None]))
+    ]
+    return smooth[0], smooth[1]
+
+
+def _sides(
+    fit: ProfileFit, picture: int, middle: SplineFit, width: SplineFit, at: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Points and unit tangents of the left and the right contour, both [2, N, 2]."""
+    position, normals = fit.position[picture], fit.normal[picture]
+    square = fit_smooth(position, normals, fit.good[picture] / NORMAL_STD**2, orders(fit, picture))
+    normal, half_width = square(at), width(at)
+    growth = width(at, 1) * normal + half_width * square(at, 1)
+    points = [middle(at) + side * half_width * normal for side in (-1, 1)]
+    tangents = [_unit(middle(at, 1) + side * growth) for side in (-1, 1)]
+    return torch.stack(points), torch.stack(tangents)
 
 
 def _unit(vectors: Tensor) -> Tensor:

@@ -34,7 +34,7 @@ from toolkit.view import StreakView, observe_streak
 
 PROFILE_REACH = 1.5
 """Half widths that a profile extends to either side, and 4 px more."""
-PROFILES = 32
+PROFILES = 24
 """To a half width, but never closer than one px: closer ones say no more together."""
 FIRST_LOOK = 8
 """The same in the first look, about."""
@@ -124,8 +124,8 @@ def fit_streak(view: StreakView, estimator: AlphaEstimator) -> ProfileFit:
 
     A first look at some profiles across the rough axis finds the middle of the streak; profiles are
     then laid square to it, closer together, and fitted again, last of all about the smooth course
-    of all of them. Where the ball is visibly not of one colour, noise is taken to be as large as the
-    misfit, and the opacity may rise from one side to the other as shading makes it.
+    of all of them. Where the ball is visibly not of one colour, noise is taken to be as large as
+    the misfit, and the opacity may rise from one side to the other as shading makes it.
 
     Raises:
         StreakError: when too few profiles are good, or the path turns a corner.
