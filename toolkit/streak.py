@@ -139,11 +139,13 @@ def _reduced(image: LinearImage, factor: int) -> LinearImage:
             for plane in image.rgb[area][0].numpy()
         ]
         rgb = np.stack(planes)
-    blocks = image.clipped[area].numpy().reshape(1, 1, height, factor, width, factor)
+    # as bytes, whose maximum takes a tenth of the time of any()
+    clipped = image.clipped[area].numpy().view(np.uint8)
+    blocks = clipped.reshape(1, 1, height, factor, width, factor).max(-3).max(-1)
     return replace(
         image,
         rgb=torch.from_numpy(rgb)[None],
-        clipped=torch.from_numpy(blocks.any(-3).any(-1)),
+        clipped=torch.from_numpy(blocks.view(np.bool_)),
         mosaic=None,
         pattern=None,
     )

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import cv2
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -82,11 +84,11 @@ def observe_streak(
 def _grown(mask: Tensor, reach: float) -> Tensor:
     """Mask with everything within `reach` px of it, on a grid coarse enough to be quick."""
     step = max(1, int(reach / 4))
-    coarse = torch.nn.functional.max_pool2d(mask.view(torch.uint8), step, ceil_mode=True)
-    size = 2 * max(1, round(reach / step)) + 1
-    coarse = torch.nn.functional.max_pool2d(coarse, size, stride=1, padding=size // 2)
-    grown = coarse.repeat_interleave(step, dim=-2).repeat_interleave(step, dim=-1)
-    return grown[..., : mask.shape[-2], : mask.shape[-1]] > 0
+    coarse = np.ascontiguousarray(mask[0, 0, ::step, ::step].numpy()).view(np.uint8)
+    size = 2 * (1 + round(reach / step)) + 1  # one more for what lies between the places looked at
+    wide = cv2.dilate(coarse, np.ones((size, size), np.uint8))
+    grown = cv2.resize(wide, None, fx=step, fy=step, interpolation=cv2.INTER_NEAREST)
+    return torch.from_numpy(grown.view(np.bool_))[None, None, : mask.shape[-2], : mask.shape[-1]]
 
 
 def _check_inside(streak: Streak, image: LinearImage) -> None:

@@ -8,8 +8,10 @@ import torch
 from plugins.uniform import Uniform
 from toolkit import ConfigError, LinearImage, StreakError
 from toolkit.background import estimate_noise
+from toolkit.demosaicing import demosaic
 from toolkit.streak import find_streak, refine_axis, trace_axis
 from toolkit.synthetic import benchmark_scene, render_shot
+from toolkit.view import _grown, observe_streak
 
 
 @pytest.fixture(scope="module")
@@ -95,6 +97,23 @@ def test_the_streak_is_found_behind_a_mosaic(size):
     assert streak.mask.shape == image.clipped.shape
 
 
+def test_only_the_window_of_a_large_mosaic_is_demosaiced(monkeypatch):
+    shot = render_shot(
+        benchmark_scene(width_px=24, length_widths=5, heading=0.5, size=(1021, 500), seed=2), seed=2
+    )
+    sizes = []
+
+    def noted(mosaic, pattern):
+        sizes.append(mosaic.size)
+        return demosaic(mosaic, pattern)
+
+    monkeypatch.setattr("toolkit.types.demosaic", noted)
+    estimator = Uniform(colour=shot.scene.appearance.colour)
+    view = observe_streak(behind_mosaic(shot.image), behind_mosaic(shot.background), estimator)
+    assert len(sizes) == 2
+    assert max(sizes) < 1.1 * view.clipped.numel() < 0.2 * 1021 * 500
+
+
 @pytest.mark.parametrize("turn", [0.0, 1.2, 2.4])
 def test_the_traced_axis_follows_an_arc(turn):
     angle = np.linspace(0, np.pi * 0.6, 60) + turn
@@ -116,3 +135,15 @@ def test_the_refined_axis_ignores_profiles_without_weight():
     axis = refine_axis(middle, weight, position, (2, 3))
     assert torch.allclose(axis[0, :, 1], 0.2 * axis[0, :, 0], atol=1e-6)
     assert axis[0, -1, 0] > 75  # continued straight to where the old axis ended
+
+
+@pytest.mark.parametrize("reach", [2.0, 10.0, 37.0])
+def test_the_grown_mask_holds_all_within_reach_and_little_more(reach):
+    mask = torch.zeros(1, 1, 211, 257, dtype=torch.bool)
+    mask[..., 90:130, 60:200] = True
+    grown = _grown(mask, reach)
+    assert (grown.shape, grown.dtype) == (mask.shape, torch.bool)
+    outside = (~mask[0, 0]).numpy().astype(np.uint8)
+    distance = torch.from_numpy(cv2.distanceTransform(outside, cv2.DIST_L2, 5))
+    assert grown[0, 0][distance <= reach].all()
+    assert distance[grown[0, 0]].max() < 2.5 * reach + 3
