@@ -139,13 +139,13 @@ def _reduced(image: LinearImage, factor: int) -> LinearImage:
             for plane in image.rgb[area][0].numpy()
         ]
         rgb = np.stack(planes)
-    # as bytes, whose maximum takes a tenth of the time of any()
-    clipped = image.clipped[area].numpy().view(np.uint8)
-    blocks = clipped.reshape(1, 1, height, factor, width, factor).max(-3).max(-1)
+    # the largest of the block that starts at a pixel
+    block = np.ones((factor, factor), np.uint8)
+    met_white = cv2.dilate(image.clipped[area][0, 0].numpy().view(np.uint8), block, anchor=(0, 0))
     return replace(
         image,
         rgb=torch.from_numpy(rgb)[None],
-        clipped=torch.from_numpy(blocks.view(np.bool_)),
+        clipped=torch.from_numpy(met_white[::factor, ::factor] > 0)[None, None],
         mosaic=None,
         pattern=None,
     )

@@ -91,10 +91,9 @@ class LinearImage:
         if self.mosaic is None or self.pattern is None:
             return None
         period = torch.tensor(self.pattern)
-        rows = torch.arange(self.height) % period.shape[0]
-        columns = torch.arange(self.width) % period.shape[1]
-        channel = period[rows[:, None], columns[None]]
-        return torch.stack([channel == c for c in range(3)])[None]
+        repeats = [-(-side // len(period)) for side in (self.height, self.width)]
+        measured = torch.stack([period == channel for channel in range(3)]).repeat(1, *repeats)
+        return measured[None, :, : self.height, : self.width]
 
     def window(self, left: int, top: int, width: int, height: int) -> "LinearImage":
         """Cut out a part of the picture; its mosaic's pattern starts at the new corner."""
