@@ -1,5 +1,6 @@
 """From profiles and contours to the ball's path in space and its motion along it."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,14 +14,27 @@ from toolkit.axis_curve import (
     AxisFit,
     Edges,
     fit_axis,
+    graze_residual,
     start_curve,
     start_curve_on,
+    to_centre,
+    whitening,
 )
+from toolkit.box_filter import box_mean
 from toolkit.camera import Camera
 from toolkit.canal import couple_points, interpretation_normals, place_cross_sections, straight_axis
 from toolkit.contours import length_in_widths
 from toolkit.ends import Ends, OpacityMap, locate_ends, rough_ends
 from toolkit.errors import StreakError
+from toolkit.flight import (
+    FlightFit,
+    Sightings,
+    fit_flight,
+    levelled,
+    see_ends,
+    start_flight,
+    with_known_opacity,
+)
 from toolkit.motion import (
     RATE_SIZES,
     Motion,
@@ -29,11 +43,16 @@ from toolkit.motion import (
     describe_motion,
     fit_pace,
     make_clock,
+    pace_samples,
 )
 from toolkit.splines import SIZES, up_to
 from toolkit.types import Contours, CrossSections, ProfileFit
 from toolkit.view import StreakView
 
+FLIGHT_SIZE = 8
+"""What profiles tell of a flight and the duration: when it began and ended, only the ends tell."""
+END_ROUNDS = 2
+"""How often the ends are located on a flight, and it is fitted to them."""
 CLOCK_MARGIN = 4.0
 """Half widths beyond the rough ends up to which time along the path is followed."""
 
@@ -49,6 +68,7 @@ class Reconstruction:
     pace: Pace
     ends: Ends
     motion: Motion
+    flight: FlightFit | None = None  # where the motion is one of constant acceleration
 
 
 def place_ball(contours: Contours, camera: Camera, ball_radius: float) -> CrossSections:
@@ -132,10 +152,9 @@ def follow_motion(
     first, last = (float(np.interp(end, position, s)) for end in rough_ends(fit))
     reach = CLOCK_MARGIN * half_width
     clock, rate = make_clock(axis.curve, pace, first - reach, last + reach)
-    alpha, variance = estimator.alpha(view.observation)
-    pixels = OpacityMap(alpha=alpha[0, 0], variance=variance[0, 0], corner=view.corner)
+    pixels = opacity_map(view, estimator)
     ends = locate_ends((first, last), axis.curve, clock, rate, pixels, camera, ball_radius)
-    return Reconstruction(
+    found = Reconstruction(
         fit=fit,
         contours=contours,
         axis=axis,
@@ -144,6 +163,68 @@ def follow_motion(
         ends=ends,
         motion=describe_motion(axis.curve, pace, ends.s),
     )
+    return follow_flight(found, pixels, camera, ball_radius)
+
+
+def follow_flight(
+    found: Reconstruction, pixels: OpacityMap, camera: Camera, ball_radius: float
+) -> Reconstruction:
+    """Take a bent or uneven motion for a free flight where that explains all profiles as well.
+
+    "As well" by the Bayesian information criterion. The ends are then located anew, since the
+    flight tells better than the splines how path and pace go on there.
+    """
+    curve, pace = found.axis.curve, found.pace
+    if curve.is_line and pace.basis.size == 1:
+        return found
+    seen = _sightings(found, camera, ball_radius)
+    spline_chi2 = _spline_chi2(found, seen, camera, ball_radius)
+    spline_size = len(curve.parameters) + pace.basis.size
+    scale = max(spline_chi2 / seen.count, 1.0)
+
+    def explains(fit: FlightFit) -> bool:
+        gain = (fit.chi2 - spline_chi2) / scale
+        return fit.converged and gain < math.log(seen.count) * (spline_size - FLIGHT_SIZE)
+
+    fit = fit_flight(start_flight(found.motion), seen, camera, ball_radius)
+    for _ in range(END_ROUNDS):
+        if not explains(fit):
+            return found
+        ends = locate_ends(
+            (-0.5, 0.5), fit.flight, _flight_clock, torch.ones_like, pixels, camera, ball_radius
+        )
+        end, along, std = see_ends(fit.flight, ends, camera)
+        seen = replace(seen, end=end, end_along=along, end_std=std)
+        fit = fit_flight(fit.flight, seen, camera, ball_radius)
+    if not explains(fit):
+        return found
+    fit = levelled(with_known_opacity(fit))
+    return replace(found, motion=fit.motion(), flight=fit)
+
+
+def refit_flight(
+    found: Reconstruction, flight: FlightFit, camera: Camera, ball_radius: float
+) -> FlightFit:
+    """Fit the flight again through a camera that differs little."""
+    opacity = opacity_data(found.fit, found.opacity.s, camera)
+    seen = replace(flight.seen, opacity=replace(opacity, weight=flight.seen.opacity.weight))
+    fit = fit_flight(flight.flight, seen, camera, ball_radius, steps=2)
+    return levelled(with_known_opacity(fit), is_level=flight.is_level)
+
+
+def opacity_map(view: StreakView, estimator: AlphaEstimator) -> OpacityMap:
+    """Estimate the opacity of every pixel about the streak, without bias.
+
+    The contrast is that of the neighbours' background: with its own noise in both contrast and
+    signal a pixel would look covered a little, by noise over contrast, squared.
+    """
+    seen = view.observation
+    # demosaicing spreads a pixel's noise over the inner 3 x 3
+    around = (49 * box_mean(seen.ground, 7) - 9 * box_mean(seen.ground, 3)) / 40
+    alpha, variance = estimator.alpha(
+        replace(seen, signal=seen.signal - seen.ground + around, ground=around)
+    )
+    return OpacityMap(alpha=alpha[0, 0], variance=variance[0, 0], corner=view.corner)
 
 
 def along_axis(fit: ProfileFit, camera: Camera) -> Tensor:
@@ -162,6 +243,41 @@ def opacity_data(fit: ProfileFit, s: Tensor, camera: Camera) -> OpacityData:
         covariance=fit.covariance[0],
         weight=fit.good[0].to(torch.float64),
     )
+
+
+def _sightings(found: Reconstruction, camera: Camera, ball_radius: float) -> Sightings:
+    """Gather what tells of a flight; profiles whose opacity lies far off the pace count less."""
+    data, ends = found.opacity, found.ends
+    _, factor = pace_samples(found.axis.curve, data, ball_radius)
+    variance = data.covariance[:, 2, 2] * factor**2
+    weight = torch.where(data.weight > 0, found.pace.weight * variance, 0)
+    end, along, std = see_ends(found.axis.curve, ends, camera)
+    return Sightings(
+        edges=_edges(found.fit, data.s),
+        opacity=replace(data, weight=weight),
+        time=(data.s - ends.s[0]) / (ends.s[1] - ends.s[0]) - 0.5,
+        end=end,
+        end_along=along,
+        end_std=std,
+    )
+
+
+def _spline_chi2(
+    found: Reconstruction, seen: Sightings, camera: Camera, ball_radius: float
+) -> float:
+    """Chi-square of the profiles about path and pace, counted as for a flight."""
+    rays, swing = seen.edges.rays(camera)
+    sides, _ = graze_residual(found.axis.curve, seen.edges.s, rays, swing, ball_radius)
+    samples, factor = pace_samples(found.axis.curve, seen.opacity, ball_radius)
+    exposures = found.pace.basis(seen.edges.s) @ found.pace.coefficients
+    dimmer = (samples - exposures) / factor
+    profiles = torch.cat([to_centre(sides), dimmer[:, None]], dim=1)[..., None]
+    whiten = whitening(seen.opacity.covariance, seen.opacity.weight)
+    return float(((whiten @ profiles) ** 2).sum())
+
+
+def _flight_clock(time: Tensor) -> Tensor:
+    return time + 0.5
 
 
 def _middle(fit: ProfileFit) -> Tensor:

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from toolkit.camera import Camera
 from toolkit.motion import describe_motion, noise_covariance, propagate, repace
-from toolkit.reconstruction import Reconstruction, opacity_data, refit_axis
+from toolkit.reconstruction import Reconstruction, opacity_data, refit_axis, refit_flight
 
 DEPTH, SPEED, DURATION, PATH = 2, 6, 7, 8
 """Places in `Motion.state`: position and displacement come first."""
@@ -18,7 +18,7 @@ class Uncertainty:
     """Covariances of `Motion.state`, lengths in metres and displacements in metres per exposure."""
 
     noise: Tensor  # [K, K]
-    order: Tensor  # [K, K], what the next finer curve would change; 0 when straight and even
+    order: Tensor  # [K, K], what a finer curve would change; 0 for a flight or an even line
     camera: Tensor | None  # [K, K]; None when the camera file has no covariance
     radius: Tensor  # [K, K]
     exposure: Tensor  # [K, K], of the displacement per the exposure time stated
@@ -53,9 +53,7 @@ def covariances(
         exposure_std_share: standard deviation of the exposure time over itself.
     """
     state = found.motion.state()
-    noise = noise_covariance(
-        found.axis, found.opacity, found.pace, found.ends.s, found.ends.std, ball_radius
-    )
+    noise = _noise_covariance(found, ball_radius)
     lengths = torch.ones_like(state)
     lengths[DURATION] = 0
     speeds = torch.zeros_like(state)
@@ -75,15 +73,22 @@ def covariances(
     )
 
 
+def _noise_covariance(found: Reconstruction, ball_radius: float) -> Tensor:
+    if found.flight is not None:
+        return found.flight.state_covariance()
+    return noise_covariance(
+        found.axis, found.opacity, found.pace, found.ends.s, found.ends.std, ball_radius
+    )
+
+
 def _order_covariance(found: Reconstruction, camera: Camera, ball_radius: float) -> Tensor:
     """Covariance of not knowing how far a bent path or an uneven pace goes on bending.
 
     The order was chosen by the same data; what two more coefficients each would change is taken for
     one standard deviation. [derived]
     """
-    state, curve = found.motion.state(), found.axis.curve
-    is_simple = len(curve.image) == 2 and len(curve.inverse_depth) == 2
-    if is_simple and found.pace.basis.size == 1:
+    state, is_even = found.motion.state(), found.pace.basis.size == 1
+    if found.flight is not None or (found.axis.curve.is_line and is_even):
         return torch.zeros(len(state), len(state), dtype=state.dtype)
     finer = refit_axis(found, camera, ball_radius, extra=2)
     basis = replace(found.pace.basis, size=found.pace.basis.size + 2)
@@ -101,6 +106,8 @@ def _camera_covariance(found: Reconstruction, camera: Camera, ball_radius: float
 
     def state(shift: Tensor) -> Tensor:
         shifted = camera.with_parameters(camera.parameters + shift)
+        if found.flight is not None:
+            return refit_flight(found, found.flight, shifted, ball_radius).motion().state()
         curve = refit_axis(found, shifted, ball_radius)
         data = opacity_data(found.fit, found.opacity.s, shifted)
         pace = repace(curve, data, found.pace, ball_radius)
