@@ -149,7 +149,8 @@ def check_enough(fit: ProfileFit, picture: int = 0) -> None:
     worst = max(counts, key=lambda flag: counts[flag])
     reasons = {
         ProfileFlag.END: f"{_size(fit, picture)} is too short for profiles clear of the ball's "
-        f"first and last image, about {SHORTEST:g} widths are needed; expose longer",
+        f"first and last image, about {SHORTEST:g} widths are needed, more where its ends "
+        "are faint; expose longer",
         ProfileFlag.CLIPPED: "it meets saturated pixels or the picture's border; "
         "expose less or aim again",
         ProfileFlag.LOW_CONTRAST: "its opacity hardly exceeds the noise; "
