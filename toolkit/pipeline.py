@@ -134,7 +134,7 @@ def fit_streak(view: StreakView, estimator: AlphaEstimator) -> ProfileFit:
     for per_half_width, blur_rounds in ((FIRST_LOOK, 1), (PROFILES, BLUR_ROUNDS)):
         reach = PROFILE_REACH * float(half_width) + 4
         spacing = max(1.0, float(half_width) / PROFILES)
-        every = max(1, round(float(half_width) / per_half_width / spacing))
+        every = max(1, int(float(half_width) / per_half_width / spacing))
         profiles = gather_profiles(
             view.observation,
             view.clipped,

@@ -54,7 +54,8 @@ def gather_profiles(
     """
     check_shape("axis", axis, observation.signal.shape[0], "N", 2)
     origin, normal, position = place_profiles(axis, spacing)
-    size, corner_px = observation.signal.shape[-2:], torch.tensor(corner)
+    height, width = observation.signal.shape[-2:]
+    size, corner_px = (height, width), torch.tensor(corner)
     slots = [
         _assign(size, origin[b] - corner_px, normal[b], reach, every) for b in range(len(axis))
     ]
