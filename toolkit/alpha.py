@@ -11,7 +11,7 @@ Source: Caglioti & Giusti 2007, eq. (1) and section 3.2.
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import ClassVar, final
 
 import torch
@@ -40,13 +40,13 @@ class Chord:
 
     `offset` is (y - centre) / half_width, -1 at the left rim and 1 at the right one when looking
     along `direction`. `start` and `stop` cut a partial chord, in shares of it: -1 is the trailing
-    rim, 1 the leading one.
+    rim, 1 the leading one; the streak's ends show such parts.
     """
 
     offset: Tensor  # [..., S]
     direction: Tensor  # [..., 1] radians in the image, of the motion
-    start: float = -1.0
-    stop: float = 1.0
+    start: float | Tensor = -1.0  # broadcast against offset
+    stop: float | Tensor = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,9 +85,17 @@ class AlphaEstimator(ABC):
 
         Args:
             chord: where on the disc.
-            appearance: unknowns that the solver projects out [B, A], or None where the estimator
-                has none.
+            appearance: the unknowns [A], in which the answer is linear; None where there are none.
         """
+
+    def unknowns(self) -> int:
+        """Say how many numbers of its appearance, A, are left for the fit to find: none, here."""
+        return 0
+
+    @final
+    def settled(self, appearance: Tensor) -> "AlphaEstimator":
+        """Give the same estimator with its unknowns [A] taken for known."""
+        return _Settled(estimator=self, appearance=appearance)
 
     @final
     @classmethod
@@ -95,21 +103,18 @@ class AlphaEstimator(ABC):
         """Names of the options that `--set field=value` reaches."""
         return tuple(field.name for field in fields(cls) if field.init)
 
-    @final
     def foreground_and_slope(
         self, chord: Chord, appearance: Tensor | None = None
     ) -> tuple[Tensor, Tensor | None]:
         """Give `foreground` and its derivative in the chord's offset, both [..., S, Q].
 
-        The derivative is None where the foreground is constant. Reverse mode, one pass a channel:
-        exact, and free of the second that forward mode takes to load.
+        The derivative is None where the foreground is constant. Here by reverse mode, one pass a
+        channel: exact, and free of the second that forward mode takes to load. Override it where a
+        closed form is at hand.
         """
         offset = chord.offset.detach().requires_grad_(True)
         with torch.enable_grad():
-            value = self.foreground(
-                Chord(offset=offset, direction=chord.direction, start=chord.start, stop=chord.stop),
-                appearance,
-            )
+            value = self.foreground(replace(chord, offset=offset), appearance)
             if not value.requires_grad:
                 return value, None
             slopes = [
@@ -135,3 +140,24 @@ class AlphaEstimator(ABC):
         information = (weight * contrast).sum(1, keepdim=True).clamp_min(1e-12)
         signal = (weight * (observation.signal - observation.ground)).sum(1, keepdim=True)
         return signal / information, 1 / information
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Settled(AlphaEstimator):
+    """An estimator whose unknowns have been found."""
+
+    estimator: AlphaEstimator
+    appearance: Tensor  # [A]
+
+    def observe(
+        self, image: LinearImage, background: LinearImage, noise: NoiseModel
+    ) -> Observation:
+        return self.estimator.observe(image, background, noise)
+
+    def foreground(self, chord: Chord, appearance: Tensor | None) -> Tensor:
+        return self.estimator.foreground(chord, self.appearance)
+
+    def foreground_and_slope(
+        self, chord: Chord, appearance: Tensor | None = None
+    ) -> tuple[Tensor, Tensor | None]:
+        return self.estimator.foreground_and_slope(chord, self.appearance)
