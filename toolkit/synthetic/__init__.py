@@ -1,6 +1,13 @@
 """Rendered truth: shots and boards made by brute force."""
 
-from toolkit.synthetic.appearance import Appearance, LambertBall, PlainBall, StripedBall
+from toolkit.synthetic.appearance import (
+    Appearance,
+    LambertBall,
+    LitBall,
+    PanelledBall,
+    PlainBall,
+    StripedBall,
+)
 from toolkit.synthetic.backgrounds import (
     checked_background,
     flat_background,
@@ -25,6 +32,7 @@ from toolkit.synthetic.paths import (
 from toolkit.synthetic.presets import PRESETS, preset_scene
 from toolkit.synthetic.render import RenderedShot, Scene, render_shot
 from toolkit.synthetic.scenes import benchmark_scene
+from toolkit.synthetic.still import SharpPicture, render_sharp, true_disc
 from toolkit.synthetic.truth import true_contours
 
 __all__ = [
@@ -35,12 +43,15 @@ __all__ = [
     "BouncingPath",
     "CircularPath",
     "LambertBall",
+    "LitBall",
     "NoiseLevel",
+    "PanelledBall",
     "ParabolicPath",
     "PlainBall",
     "RenderedBoard",
     "RenderedShot",
     "Scene",
+    "SharpPicture",
     "StraightPath",
     "StripedBall",
     "add_noise",
@@ -52,7 +63,9 @@ __all__ = [
     "panelled_background",
     "preset_scene",
     "render_board",
+    "render_sharp",
     "render_shot",
     "textured_background",
     "true_contours",
+    "true_disc",
 ]

@@ -17,8 +17,8 @@ from toolkit.synthetic.sharp import BallLight, expose_ball
 from toolkit.synthetic.truth import true_contours
 from toolkit.types import LinearImage
 
-SHOT, BACKGROUND = 0, 1
-"""Noise streams: the two pictures never share their noise."""
+SHOT, BACKGROUND, SHARP = 0, 1, 2
+"""Noise streams: the pictures never share their noise."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,8 +172,8 @@ def _finish(
     """Expose both clean pictures on the sensor."""
     level = scene.noise if noise is None else noise
     return RenderedShot(
-        image=_record(add_noise(clean_image, level, seed, SHOT), scene.exposure),
-        background=_record(add_noise(clean_background, level, seed, BACKGROUND), scene.exposure),
+        image=record(add_noise(clean_image, level, seed, SHOT), scene.exposure),
+        background=record(add_noise(clean_background, level, seed, BACKGROUND), scene.exposure),
         scene=scene,
         alpha=alpha,
         clean_image=clean_image,
@@ -181,7 +181,8 @@ def _finish(
     )
 
 
-def _record(light: Tensor, exposure: float) -> LinearImage:
+def record(light: Tensor, exposure: float) -> LinearImage:
+    """Give the picture that a sensor hands on of its light [3, H, W]."""
     rgb = light[None]
     return LinearImage(
         rgb=rgb,
