@@ -160,11 +160,16 @@ def fit_flight(
     )
 
 
-def with_known_opacity(fit: FlightFit) -> FlightFit:
-    """Condition the flight on a duration of 1; the fitted one stays to be reported."""
+def with_known_opacity(fit: FlightFit, std: float = 0.0) -> FlightFit:
+    """Condition the flight on a duration of 1; the fitted one stays to be reported.
+
+    Args:
+        fit: free flight.
+        std: relative standard deviation of the scale of all opacities.
+    """
     cause = torch.zeros_like(fit.covariance[0])
     cause[DURATION] = 1
-    gain = fit.covariance @ cause / fit.covariance[DURATION, DURATION]
+    gain = fit.covariance @ cause / (fit.covariance[DURATION, DURATION] + std**2)
     covariance = fit.covariance - torch.outer(gain, fit.covariance[DURATION])
     covariance[DURATION, DURATION] = fit.covariance[DURATION, DURATION]
     shift = gain * (1 - fit.duration)

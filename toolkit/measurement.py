@@ -121,6 +121,7 @@ class FitSummary:
     chi2_per_dof: float
     pixels: int  # samples that entered the fit
     iterations: int
+    appearance: tuple[float, ...] | None = None  # what the estimator left open, such as a colour
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

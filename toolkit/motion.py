@@ -18,6 +18,8 @@ from toolkit.splines import SplineBasis, fit_smooth, fit_spline
 
 RATE_SIZES = (1, 2, 3, 4, 6, 8)
 """Coefficients tried for the pace along the path: 1 is a constant speed."""
+DEPTH, SPEED, DURATION, PATH = 2, 6, 7, 8
+"""Places in `Motion.state`: position and displacement come first."""
 PATH_POINTS = 41
 GRID = 401
 

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator
+from toolkit.appearance import guess_appearance
 from toolkit.background import check_pair
 from toolkit.camera import Camera
 from toolkit.camera_file import fit_camera
@@ -22,13 +23,14 @@ from toolkit.contours import (
 from toolkit.ends import rough_ends
 from toolkit.errors import ConfigError, StreakError
 from toolkit.measurement import Measurement
-from toolkit.profile_fit import BLUR_ROUNDS, KNOWN_SKEW, Skew, fit_profiles, refine_profiles
+from toolkit.profile_fit import BLUR_ROUNDS, fit_profiles, improve_appearance, refine_profiles
+from toolkit.profile_model import KNOWN_SKEW, Skew
 from toolkit.profiles import axis_bend, gather_profiles
 from toolkit.reconstruction import follow_motion, reconstruct_axis
 from toolkit.registry import name_of
 from toolkit.result import describe
 from toolkit.streak import ROI, refine_axis
-from toolkit.types import Contours, LinearImage, ProfileFit, ProfileFlag, Profiles
+from toolkit.types import Appearance, Contours, LinearImage, ProfileFit, ProfileFlag, Profiles
 from toolkit.uncertainty import covariances
 from toolkit.view import StreakView, observe_streak
 
@@ -42,6 +44,8 @@ START_TOLERANCE = 0.2
 """Standard deviations to which profiles are searched: the refinement needs no better start."""
 REFINEMENTS = 2
 """Rounds in which profiles are fitted about the smooth course of all of them."""
+APPEARANCE_ROUNDS = 4
+"""Rounds in which what an estimator leaves open is found, before these."""
 MISFIT = 2.0
 """Chi-square per degree of freedom beyond which the ball is not of one colour."""
 SHADING = 0.3
@@ -102,7 +106,8 @@ def measure(
     watch.lap("profiles")
     axis = reconstruct_axis(fit, contours, camera, ball_radius)
     watch.lap("axis")
-    found = follow_motion(view, estimator, camera, ball_radius, fit, contours, axis)
+    known = settled(estimator, fit)
+    found = follow_motion(view, known, camera, ball_radius, fit, contours, axis)
     watch.lap("motion")
     uncertainty = covariances(
         found,
@@ -131,6 +136,8 @@ def fit_streak(view: StreakView, estimator: AlphaEstimator) -> ProfileFit:
         StreakError: when too few profiles are good, or the path turns a corner.
     """
     axis, half_width, excess = view.streak.axis, view.streak.half_width, 1.0
+    guess = guess_appearance(view, estimator) if estimator.unknowns() else None
+    known = estimator if guess is None else estimator.settled(guess.values)
     for per_half_width, blur_rounds in ((FIRST_LOOK, 1), (PROFILES, BLUR_ROUNDS)):
         reach = PROFILE_REACH * float(half_width) + 4
         spacing = max(1.0, float(half_width) / PROFILES)
@@ -144,12 +151,15 @@ def fit_streak(view: StreakView, estimator: AlphaEstimator) -> ProfileFit:
             spacing=spacing,
             every=every,
         )
-        fit, skew, excess = _fit_as_seen(profiles, estimator, half_width, excess, blur_rounds)
+        fit, skew, excess = _fit_as_seen(profiles, known, half_width, excess, blur_rounds)
         axis, half_width = _middle_line(fit), _median_half_width(fit)
     _check_corner(profiles, float(half_width))
     profiles = replace(profiles, variance=profiles.variance * excess)
+    if guess is not None:
+        fit = _find_appearance(profiles, estimator, guess, fit, skew)
+        known = settled(estimator, fit)
     for _ in range(REFINEMENTS):
-        fit = refine_profiles(profiles, estimator, fit, smooth_parameters(fit)[None], skew)
+        fit = refine_profiles(profiles, known, fit, smooth_parameters(fit)[None], skew)
     fit = widen_for_correlation(fit)
     return replace(fit, chi2_per_dof=fit.chi2_per_dof * excess)
 
@@ -193,6 +203,23 @@ def _fit_as_seen(
         excess = misfit
     check_enough(fit)
     return fit, skew, excess
+
+
+def _find_appearance(
+    profiles: Profiles, estimator: AlphaEstimator, guess: Appearance, fit: ProfileFit, skew: Skew
+) -> ProfileFit:
+    """Find what the estimator leaves open of the ball's looks, and fit the profiles with it."""
+    looks = guess
+    for _ in range(APPEARANCE_ROUNDS):
+        about = smooth_parameters(fit)[None]
+        looks = improve_appearance(profiles, estimator, guess, looks.values, fit, about, skew)
+        fit = refine_profiles(profiles, estimator.settled(looks.values), fit, about, skew)
+    return replace(fit, appearance=looks)
+
+
+def settled(estimator: AlphaEstimator, fit: ProfileFit) -> AlphaEstimator:
+    """Give the estimator with what the fit found of the ball's looks."""
+    return estimator if fit.appearance is None else estimator.settled(fit.appearance.values)
 
 
 def _middle_line(fit: ProfileFit) -> Tensor:

@@ -1,14 +1,15 @@
 """Fitting the semi-ellipse to every profile at once."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator, Chord
-from toolkit.least_squares import Equations, Solution, invert_information, minimise_equations
-from toolkit.semi_ellipse import semi_ellipse_and_J, start_from_moments
-from toolkit.types import ProfileFit, ProfileFlag, Profiles
+from toolkit.least_squares import Solution, invert_information, minimise_equations
+from toolkit.profile_model import OWN, ProfileModel, Skew
+from toolkit.semi_ellipse import start_from_moments
+from toolkit.types import Appearance, ProfileFit, ProfileFlag, Profiles
 
 START_BLUR = 0.8
 """px, of pixel and a sharp lens together."""
@@ -18,29 +19,11 @@ BLUR_ROUNDS = 3
 """Updates of the blur all profiles of a picture share; each is a Newton step, so three do."""
 BLUR_SETTLED = 0.02
 """px."""
-KNOWN_SKEW = 1e-3
-"""Standard deviation of a skew that is known from the path's bend: as good as fixed."""
-STRAIGHT = 0.01
-"""Skew below which the bend's second order does not matter."""
 MAX_ITERATIONS = 15
-OUTLIER_SAMPLE = 3.0
-"""Standard deviations beyond which a sample (dirt, text, a reflection) loses its pull."""
 MIN_SIGNIFICANCE = 3.0
 """Opacity over its own standard deviation below which a profile says nothing."""
 MIN_VALID_SHARE = 0.8
 """Share of a profile's pixels that must be usable."""
-OWN = 4
-"""Parameters of each profile: centre, half width, opacity, skew."""
-PRECISION = torch.float32
-"""Of everything that a single pixel contributes, twice as fast; parameters stay in double."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Skew:
-    """What is expected of the profiles' skew: a normal distribution."""
-
-    mean: Tensor  # [B, P]
-    std: float
 
 
 def fit_profiles(
@@ -71,7 +54,7 @@ def fit_profiles(
     Returns:
         ProfileFit; profiles that failed carry flags.
     """
-    model = _Model.of(profiles, estimator, skew, profiles.ground)
+    model = ProfileModel.of(profiles, estimator, skew, profiles.ground)
     reach = float(profiles.offset.max())
     x = _first_guess(profiles, estimator, half_width, model.skew_mean)
     blur = torch.full((len(profiles.position),), START_BLUR, dtype=torch.float64)
@@ -119,7 +102,7 @@ def refine_profiles(
         about: smooth (centre, half width, opacity, skew) of all profiles [B, P, 4].
         skew: what is known of each profile's skew; none, when None.
     """
-    model = _Model.of(profiles, estimator, skew, profiles.smooth_ground)
+    model = ProfileModel.of(profiles, estimator, skew, profiles.smooth_ground)
     x = about.reshape(-1, OWN)
     # a step that needs no search takes those along whose search did not settle
     is_open = (fit.flags & ~int(ProfileFlag.NOT_CONVERGED)) == 0
@@ -140,137 +123,53 @@ def refine_profiles(
         skew=torch.where(is_open, refined.skew, fit.skew),
         covariance=torch.where(is_open[..., None, None], refined.covariance, fit.covariance),
         flags=torch.where(is_open, refined.flags, fit.flags),
+        appearance=fit.appearance,
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Model:
-    """The composited semi-ellipse of B * P = E profiles, against their pixels."""
+def improve_appearance(
+    profiles: Profiles,
+    estimator: AlphaEstimator,
+    guess: Appearance,
+    values: Tensor,
+    fit: ProfileFit,
+    about: Tensor,
+    skew: Skew | None = None,
+) -> Appearance:
+    """Take one Gauss-Newton step in the unknowns of the ball's appearance.
 
-    estimator: AlphaEstimator
-    offset: Tensor  # [E, S]
-    observed: Tensor  # [E, Q, S] signal minus ground, in standard deviations
-    ground: Tensor  # [E, Q, S]
-    J_ground: Tensor  # [E, Q, S] the ground as the Jacobian sees it
-    whitening: Tensor  # [E, Q, S] 1 / standard deviation, 0 for what is not to be used
-    contrasts: tuple[Tensor, Tensor] | None  # [E, Q, S], where one colour serves every offset
-    direction: Tensor  # [E, 1] rad
-    skew_mean: Tensor  # [E]
-    skew_std: float
-    is_bent: bool
+    Every profile's own parameters and the blur are projected out: what remains to tell a colour
+    from the opacity is how a varying background shines through. As in `refine_profiles` the
+    Jacobian sees the smoothed background, without which its noise would count as variation.
+    [derived]
 
-    @classmethod
-    def of(
-        cls, profiles: Profiles, estimator: AlphaEstimator, skew: Skew | None, J_ground: Tensor
-    ) -> "_Model":
-        mean = torch.zeros_like(profiles.position) if skew is None else skew.mean
-        whitening = profiles.valid[..., None] / profiles.variance.clamp_min(1e-14).sqrt()
-        weight, ground, observed = (
-            _by_channel(values)
-            for values in (
-                whitening,
-                profiles.ground,
-                (profiles.signal - profiles.ground) * whitening,
-            )
-        )
-        is_same = J_ground is profiles.ground
-        J_ground = ground if is_same else _by_channel(J_ground)
-        offset = profiles.offset.flatten(0, 1).to(PRECISION)
-        direction = profiles.direction.flatten()[:, None].to(PRECISION)
-        foreground, slope = estimator.foreground_and_slope(
-            Chord(offset=torch.zeros_like(offset), direction=direction)
-        )
-        foreground = foreground.mT
-        contrast = (foreground - ground) * weight
-        J_contrast = contrast if is_same else (foreground - J_ground) * weight
-        if slope is None and int((weight > 0).sum(1).max()) <= 1:
-            # behind a mosaic each pixel measured one channel: the others are all zeros
-            contrast, observed = contrast.sum(1, keepdim=True), observed.sum(1, keepdim=True)
-            J_contrast = contrast if is_same else J_contrast.sum(1, keepdim=True)
-        return cls(
-            estimator=estimator,
-            offset=offset,
-            observed=observed,
-            ground=ground,
-            J_ground=J_ground,
-            whitening=weight,
-            contrasts=(contrast, J_contrast) if slope is None else None,
-            direction=direction,
-            skew_mean=mean.flatten(),
-            skew_std=KNOWN_SKEW if skew is None else skew.std,
-            is_bent=bool((mean.abs() > STRAIGHT).any()),
-        )
-
-    def own_equations(self, blur: Tensor) -> Equations:
-        """Give the normal equations of every profile's own parameters, at the blur [B]."""
-
-        def equations(x: Tensor, rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-            cost, gradient, information = self.equations(x, rows, blur)
-            return cost, gradient[:, :OWN], information[:, :OWN, :OWN]
-
-        return equations
-
-    def equations(self, x: Tensor, rows: Tensor, blur: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Give the robust cost [A], gradient [A, 5] and information [A, 5, 5].
-
-        They are in (centre, half width, opacity, skew, blur). The channels of a pixel share the
-        derivative of its alpha, so that they are summed first and the Jacobian of every single
-        number is never formed.
-        """
-        # indexing copies: while every profile is still searched for, a slice does
-        chosen = slice(None) if len(rows) == len(self.offset) else rows
-        own_blur = blur.repeat_interleave(len(self.offset) // len(blur))[chosen][:, None]
-        own_blur = own_blur.to(PRECISION)
-        centre, half_width, opacity, skew = x[:, None, :].to(PRECISION).unbind(-1)
-        offset = self.offset[chosen]
-        bend = self.skew_mean[rows][:, None].to(PRECISION) if self.is_bent else None
-        alpha, J_alpha = semi_ellipse_and_J(
-            offset, centre, half_width, opacity, skew, own_blur, bend
-        )
-        J_alpha = J_alpha.mT
-        share = (offset - centre) / half_width
-        contrast, J_contrast, slope = self._contrast(share, chosen)
-        residual = alpha[:, None] * contrast - self.observed[chosen]
-        weight = OUTLIER_SAMPLE / residual.abs().clamp_min(OUTLIER_SAMPLE)
-        weighted = weight * residual
-        cost = (weighted * residual * (2 - weight)).sum((-1, -2))
-        weighted_J = weight * J_contrast
-        gradient = (J_alpha @ (weighted * J_contrast).sum(1)[..., None])[..., 0]
-        information = (J_alpha * (weighted_J * J_contrast).sum(1)[:, None]) @ J_alpha.mT
-        if slope is not None:
-            pull = alpha[:, None] * slope
-            J_share = torch.zeros_like(J_alpha)
-            J_share[:, 0], J_share[:, 1] = -1 / half_width, -share / half_width
-            gradient = gradient + (J_share @ (weighted * pull).sum(1)[..., None])[..., 0]
-            cross = (J_alpha * (weighted_J * pull).sum(1)[:, None]) @ J_share.mT
-            own = (J_share * (weight * pull * pull).sum(1)[:, None]) @ J_share.mT
-            information = information + cross + cross.mT + own
-        cost, gradient, information = (v.to(x.dtype) for v in (cost, gradient, information))
-        surprise = (x[:, 3] - self.skew_mean[chosen]) / self.skew_std
-        gradient[:, 3] += surprise / self.skew_std
-        information[:, 3, 3] += 1 / self.skew_std**2
-        return cost + surprise**2, gradient, information
-
-    def _contrast(
-        self, share: Tensor, rows: Tensor | slice
-    ) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Give ball minus ground, as J sees it too, and its slope along the share, [A, Q, S]."""
-        if self.contrasts is not None:
-            contrast, J_contrast = self.contrasts
-            taken = contrast[rows]
-            return taken, taken if J_contrast is contrast else J_contrast[rows], None
-        foreground, slope = self.estimator.foreground_and_slope(
-            Chord(offset=share.clamp(-1, 1), direction=self.direction[rows])
-        )
-        foreground, weight = foreground.mT, self.whitening[rows]
-        contrast = (foreground - self.ground[rows]) * weight
-        J_contrast = (foreground - self.J_ground[rows]) * weight
-        return contrast, J_contrast, None if slope is None else slope.mT * weight
-
-
-def _by_channel(values: Tensor) -> Tensor:
-    """From [B, P, S, Q] to [B * P, Q, S]."""
-    return values.flatten(0, 1).mT.to(PRECISION).contiguous()
+    Args:
+        profiles: of one picture.
+        estimator: with unknowns, not settled.
+        guess: from elsewhere, a weak prior.
+        values: to step from [A].
+        fit: the fit so far, settled on some appearance near by.
+        about: smooth (centre, half width, opacity, skew) of all profiles [B, P, 4].
+        skew: what is known of each profile's skew; none, when None.
+    """
+    model = ProfileModel.of(profiles, estimator.settled(values), skew, profiles.smooth_ground)
+    rows = fit.good.flatten().nonzero()[:, 0]
+    x = about.reshape(-1, OWN)[rows]
+    J_foreground = model.J_appearance(estimator, x, rows)
+    gradient, information = model.full_equations(x, rows, fit.blur, J_foreground)
+    own, shared = slice(None, OWN), slice(OWN, None)
+    gain = invert_information(information[:, own, own]) @ information[:, own, shared]
+    slope = (gradient[:, shared] - (gain.mT @ gradient[:, own, None])[..., 0]).sum(0)
+    curvature = (information[:, shared, shared] - gain.mT @ information[:, own, shared]).sum(0)
+    slope[1:] += (values - guess.values) / guess.std**2
+    curvature[1:, 1:] += torch.eye(len(values), dtype=curvature.dtype) / guess.std**2
+    covariance = torch.linalg.inv(curvature)
+    per_opacity = (gain[:, 2] / x[:, 2:3]).mean(0)
+    return Appearance(
+        values=values - (covariance @ slope)[1:],
+        std=guess.std,
+        opacity_std=float((per_opacity @ covariance @ per_opacity).sqrt()),
+    )
 
 
 def _first_guess(
@@ -298,7 +197,7 @@ def _first_guess(
     return torch.cat([guess.reshape(-1, 3), skew[:, None]], dim=-1)
 
 
-def _improve_blur(model: _Model, x: Tensor, blur: Tensor, used: Tensor) -> Tensor:
+def _improve_blur(model: ProfileModel, x: Tensor, blur: Tensor, used: Tensor) -> Tensor:
     """Take one Gauss-Newton step in the blur [B], every profile's own parameters projected out."""
     _, gradient, information = model.equations(x, torch.arange(len(x)), blur)
     inverse = invert_information(information[:, :OWN, :OWN])

@@ -36,6 +36,7 @@ from toolkit.flight import (
     with_known_opacity,
 )
 from toolkit.motion import (
+    DURATION,
     RATE_SIZES,
     Motion,
     OpacityData,
@@ -43,6 +44,7 @@ from toolkit.motion import (
     describe_motion,
     fit_pace,
     make_clock,
+    noise_covariance,
     pace_samples,
 )
 from toolkit.splines import SIZES, up_to
@@ -69,6 +71,7 @@ class Reconstruction:
     ends: Ends
     motion: Motion
     flight: FlightFit | None = None  # where the motion is one of constant acceleration
+    opacity_std: float = 0.0  # relative, shared by all opacities and not yet in `flight`
 
 
 def place_ball(contours: Contours, camera: Camera, ball_radius: float) -> CrossSections:
@@ -163,7 +166,36 @@ def follow_motion(
         ends=ends,
         motion=describe_motion(axis.curve, pace, ends.s),
     )
-    return follow_flight(found, pixels, camera, ball_radius)
+    found = follow_flight(found, pixels, camera, ball_radius)
+    return found if found.flight or fit.appearance is None else scale_opacity(found, ball_radius)
+
+
+def scale_opacity(found: Reconstruction, ball_radius: float) -> Reconstruction:
+    """Let the distance between the ends correct opacities whose scale was found in the fit.
+
+    Wherever the ball's colour is unknown all opacities share an error, and so do all speeds told by
+    them; but the way between the ends took one exposure. Both weigh by their variances. [derived]
+    """
+    covariance = noise_covariance(
+        found.axis, found.opacity, found.pace, found.ends.s, found.ends.std, ball_radius
+    )
+    by_ends, by_colour = float(covariance[DURATION, DURATION]), opacity_doubt(found.fit) ** 2
+    trust = by_colour / (by_colour + by_ends)
+    scale = 1 + trust * (float(found.motion.duration) - 1)
+    pace = replace(found.pace, coefficients=found.pace.coefficients / scale)
+    opacity = replace(found.opacity, opacity=found.opacity.opacity / scale)
+    return replace(
+        found,
+        opacity=opacity,
+        pace=pace,
+        motion=describe_motion(found.axis.curve, pace, found.ends.s),
+        opacity_std=(trust * by_ends) ** 0.5,
+    )
+
+
+def opacity_doubt(fit: ProfileFit) -> float:
+    """Give the relative standard deviation that all opacities share by what was open in the fit."""
+    return 0.0 if fit.appearance is None else fit.appearance.opacity_std
 
 
 def follow_flight(
@@ -198,7 +230,7 @@ def follow_flight(
         fit = fit_flight(fit.flight, seen, camera, ball_radius)
     if not explains(fit):
         return found
-    fit = levelled(with_known_opacity(fit))
+    fit = levelled(with_known_opacity(fit, opacity_doubt(found.fit)))
     return replace(found, motion=fit.motion(), flight=fit)
 
 
@@ -209,7 +241,8 @@ def refit_flight(
     opacity = opacity_data(found.fit, found.opacity.s, camera)
     seen = replace(flight.seen, opacity=replace(opacity, weight=flight.seen.opacity.weight))
     fit = fit_flight(flight.flight, seen, camera, ball_radius, steps=2)
-    return levelled(with_known_opacity(fit), is_level=flight.is_level)
+    fit = with_known_opacity(fit, opacity_doubt(found.fit))
+    return levelled(fit, is_level=flight.is_level)
 
 
 def opacity_map(view: StreakView, estimator: AlphaEstimator) -> OpacityMap:

@@ -18,13 +18,15 @@ from toolkit.measurement import (
     Sign,
     numbers,
 )
-from toolkit.motion import Motion
-from toolkit.reconstruction import Reconstruction
+from toolkit.motion import DEPTH, PATH, SPEED, Motion
+from toolkit.reconstruction import Reconstruction, opacity_doubt
 from toolkit.types import ProfileFit
-from toolkit.uncertainty import DEPTH, DURATION, PATH, SPEED, Uncertainty
+from toolkit.uncertainty import Uncertainty, duration_std
 
 DISAGREEMENT = 0.02
 """Relative difference between the speeds from opacity and ends from which a warning is due."""
+UNTOLD = 0.05
+"""Relative standard deviation of the opacity that a colour found leaves, from which it is said."""
 WARNED_MISFIT = 3.0
 """Chi-square per degree of freedom of the profiles beyond which a warning is due."""
 
@@ -127,6 +129,7 @@ def _summary(fit: ProfileFit) -> FitSummary:
         chi2_per_dof=float(fit.chi2_per_dof[0][good].median()),
         pixels=int(fit.samples[0][good].sum()),
         iterations=fit.iterations,
+        appearance=None if fit.appearance is None else numbers(fit.appearance.values),
     )
 
 
@@ -160,7 +163,7 @@ def _cautions(
 ) -> tuple[Caution, ...]:
     good = found.fit.good[0]
     duration = float(found.motion.duration)
-    duration_std = float(uncertainty.noise[DURATION, DURATION].sqrt())
+    chance = duration_std(found, uncertainty.noise)
     bend = float(found.axis.curve.curvature_radius(found.opacity.s[good]).min())
     misfit = float(found.fit.chi2_per_dof[0][good].median())
     change = float((drift - 1).abs().max())
@@ -176,11 +179,18 @@ def _cautions(
             "the camera file holds no covariance; the stated uncertainties leave the camera out",
         ),
         (
-            abs(duration - 1) > max(3 * duration_std, DISAGREEMENT),
+            abs(duration - 1) > max(3 * chance, DISAGREEMENT),
             "opacity-and-ends-disagree",
             f"the distance between the streak's ends would take {duration:.3f} of the exposure at "
             "the speed its opacity tells; ball colour, response curve or exposure is off by about "
             "as much, and the speed's uncertainty is widened",
+        ),
+        (
+            opacity_doubt(found.fit) > UNTOLD,
+            "colour-from-length",
+            "the background varies too little to tell the ball's colour from its opacity "
+            f"(to {100 * opacity_doubt(found.fit):.0f} %), so that the speed rests on the streak's "
+            "length; give the colour, or take a background with more texture",
         ),
         (
             bend < ball_radius,

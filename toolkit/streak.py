@@ -157,6 +157,8 @@ def _averaged(noise: NoiseModel, factor: int) -> NoiseModel:
 
 def _evidence(observation: Observation, estimator: AlphaEstimator) -> tuple[Map, Map, Map]:
     """Give opacity, its significance, and the share of the change the colour explains, [H, W]."""
+    if estimator.unknowns():
+        return _plain_evidence(observation)
     alpha, variance = estimator.alpha(observation)
     information = 1 / variance
     change = observation.signal - observation.ground
@@ -169,6 +171,27 @@ def _evidence(observation: Observation, estimator: AlphaEstimator) -> tuple[Map,
     unexplained = _smooth(energy) - observation.signal.shape[1]
     likeness = explained / np.maximum(unexplained, explained).clip(1e-12)
     return smooth, smooth / std, likeness
+
+
+def _plain_evidence(observation: Observation) -> tuple[Map, Map, Map]:
+    """Do the same where the ball's colour is not known: any change that neighbours share counts.
+
+    The largest change is taken for half covered.
+    """
+    change = observation.signal - observation.ground
+    weights = 1 / observation.variance
+    seen, expected, energy = 0.0, 0.0, 0.0
+    for channel in range(change.shape[1]):
+        of_channel = slice(channel, channel + 1)
+        weight, moved = weights[:, of_channel], change[:, of_channel]
+        information = _smooth(weight)
+        mean = _smooth(moved * weight) / information.clip(1e-12)
+        seen = seen + mean * mean * information
+        energy = energy + _smooth(moved * moved * weight)
+        expected += 1
+    significance = np.sqrt(np.maximum(seen * (4 * math.pi * SMOOTHING**2) - expected, 0))
+    likeness = seen / np.maximum(energy - expected, seen).clip(1e-12)
+    return significance / (2 * max(float(significance.max()), 1e-12)), significance, likeness
 
 
 def _smooth(values: Tensor) -> Map:

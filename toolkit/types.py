@@ -224,6 +224,15 @@ class Profiles:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Appearance:
+    """What is known of a ball's looks that its estimator leaves open."""
+
+    values: Tensor  # [A], as `AlphaEstimator.settled` takes them
+    std: float  # of a guess; of what was fitted on, the one before the fit
+    opacity_std: float  # relative: the error that all opacities share because of it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ProfileFit:
     """The semi-ellipse that fits each profile best."""
 
@@ -240,6 +249,7 @@ class ProfileFit:
     blur: Tensor  # [B] px, standard deviation of everything that smooths a profile
     samples: Tensor  # [B, P] numbers compared in each profile
     iterations: int
+    appearance: Appearance | None = None  # what the fit found of the ball's looks
 
     @property
     def good(self) -> Tensor:

@@ -6,11 +6,14 @@ import torch
 from torch import Tensor
 
 from toolkit.camera import Camera
-from toolkit.motion import describe_motion, noise_covariance, propagate, repace
-from toolkit.reconstruction import Reconstruction, opacity_data, refit_axis, refit_flight
-
-DEPTH, SPEED, DURATION, PATH = 2, 6, 7, 8
-"""Places in `Motion.state`: position and displacement come first."""
+from toolkit.motion import DURATION, SPEED, describe_motion, noise_covariance, propagate, repace
+from toolkit.reconstruction import (
+    Reconstruction,
+    opacity_data,
+    opacity_doubt,
+    refit_axis,
+    refit_flight,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,7 +25,7 @@ class Uncertainty:
     camera: Tensor | None  # [K, K]; None when the camera file has no covariance
     radius: Tensor  # [K, K]
     exposure: Tensor  # [K, K], of the displacement per the exposure time stated
-    brightness: Tensor  # [K, K], what the ends contradict the opacity by
+    brightness: Tensor  # [K, K], of the opacities' scale
 
     @property
     def total(self) -> Tensor:
@@ -43,7 +46,8 @@ def covariances(
 
     All lengths scale with the ball radius, and speeds with 1 / exposure, exactly. Where the
     distance between the ends contradicts the opacity by more than noise allows, colour, response or
-    exposure is wrong by about as much, and the speed with it.
+    exposure is wrong by about as much, and the speed with it. Where the colour was found in the
+    fit, the scale of all opacities errs, and the speed again.
 
     Args:
         found: the reconstruction.
@@ -60,9 +64,9 @@ def covariances(
     speeds[3 : SPEED + 1] = 1
     by_radius = state * lengths * (ball_radius_std / ball_radius)
     by_exposure = state * speeds * exposure_std_share
-    allowed = 2 * float(noise[DURATION, DURATION].sqrt())
+    allowed = 2 * duration_std(found, noise)
     contradiction = max(abs(float(found.motion.duration) - 1) - allowed, 0.0)
-    by_brightness = state * speeds * contradiction
+    by_brightness = state * speeds * (contradiction**2 + found.opacity_std**2) ** 0.5
     return Uncertainty(
         noise=noise,
         order=_order_covariance(found, camera, ball_radius),
@@ -71,6 +75,12 @@ def covariances(
         exposure=torch.outer(by_exposure, by_exposure),
         brightness=torch.outer(by_brightness, by_brightness),
     )
+
+
+def duration_std(found: Reconstruction, noise: Tensor) -> float:
+    """Give by how much the duration that opacity and ends tell may differ from 1 by chance."""
+    by_colour = 0.0 if found.opacity_std else opacity_doubt(found.fit)
+    return float((noise[DURATION, DURATION] + by_colour**2).sqrt())
 
 
 def _noise_covariance(found: Reconstruction, ball_radius: float) -> Tensor:

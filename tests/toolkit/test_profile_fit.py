@@ -4,7 +4,8 @@ import pytest
 import torch
 
 from plugins.uniform import Uniform
-from toolkit.profile_fit import Skew, fit_profiles, refine_profiles
+from toolkit.profile_fit import fit_profiles, refine_profiles
+from toolkit.profile_model import Skew
 from toolkit.semi_ellipse import semi_ellipse
 from toolkit.types import ProfileFlag, Profiles
 

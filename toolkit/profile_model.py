@@ -1,0 +1,231 @@
+"""The composited semi-ellipse of many profiles, held against their pixels."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from toolkit.alpha import AlphaEstimator, Chord
+from toolkit.least_squares import Equations
+from toolkit.semi_ellipse import semi_ellipse_and_J
+from toolkit.types import Profiles
+
+KNOWN_SKEW = 1e-3
+"""Standard deviation of a skew that is known from the path's bend: as good as fixed."""
+STRAIGHT = 0.01
+"""Skew below which the bend's second order does not matter."""
+OUTLIER_SAMPLE = 3.0
+"""Standard deviations beyond which a sample (dirt, text, a reflection) loses its pull."""
+OWN = 4
+"""Parameters of each profile: centre, half width, opacity, skew."""
+PRECISION = torch.float32
+"""Of everything that a single pixel contributes, twice as fast; parameters stay in double."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Skew:
+    """What is expected of the profiles' skew: a normal distribution."""
+
+    mean: Tensor  # [B, P]
+    std: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProfileModel:
+    """The composited semi-ellipse of B * P = E profiles, against their pixels."""
+
+    estimator: AlphaEstimator
+    offset: Tensor  # [E, S]
+    observed: Tensor  # [E, Q, S] signal minus ground, in standard deviations
+    ground: Tensor  # [E, Q, S]
+    J_ground: Tensor  # [E, Q, S] the ground as the Jacobian sees it
+    whitening: Tensor  # [E, Q, S] 1 / standard deviation, 0 for what is not to be used
+    contrasts: tuple[Tensor, Tensor] | None  # [E, Q, S], where one colour serves every offset
+    direction: Tensor  # [E, 1] rad
+    skew_mean: Tensor  # [E]
+    skew_std: float
+    is_bent: bool
+
+    @classmethod
+    def of(
+        cls, profiles: Profiles, estimator: AlphaEstimator, skew: Skew | None, J_ground: Tensor
+    ) -> "ProfileModel":
+        """Prepare profiles for fitting; the Jacobian sees `J_ground` [B, P, S, Q] for a ground."""
+        mean = torch.zeros_like(profiles.position) if skew is None else skew.mean
+        whitening = profiles.valid[..., None] / profiles.variance.clamp_min(1e-14).sqrt()
+        weight, ground, observed = (
+            _by_channel(values)
+            for values in (
+                whitening,
+                profiles.ground,
+                (profiles.signal - profiles.ground) * whitening,
+            )
+        )
+        is_same = J_ground is profiles.ground
+        J_ground = ground if is_same else _by_channel(J_ground)
+        offset = profiles.offset.flatten(0, 1).to(PRECISION)
+        direction = profiles.direction.flatten()[:, None].to(PRECISION)
+        foreground, slope = estimator.foreground_and_slope(
+            Chord(offset=torch.zeros_like(offset), direction=direction)
+        )
+        foreground = foreground.mT
+        contrast = (foreground - ground) * weight
+        J_contrast = contrast if is_same else (foreground - J_ground) * weight
+        if slope is None and int((weight > 0).sum(1).max()) <= 1:
+            # behind a mosaic each pixel measured one channel: the others are all zeros
+            contrast, observed = contrast.sum(1, keepdim=True), observed.sum(1, keepdim=True)
+            J_contrast = contrast if is_same else J_contrast.sum(1, keepdim=True)
+        return cls(
+            estimator=estimator,
+            offset=offset,
+            observed=observed,
+            ground=ground,
+            J_ground=J_ground,
+            whitening=weight,
+            contrasts=(contrast, J_contrast) if slope is None else None,
+            direction=direction,
+            skew_mean=mean.flatten(),
+            skew_std=KNOWN_SKEW if skew is None else skew.std,
+            is_bent=bool((mean.abs() > STRAIGHT).any()),
+        )
+
+    def own_equations(self, blur: Tensor) -> Equations:
+        """Give the normal equations of every profile's own parameters, at the blur [B]."""
+
+        def equations(x: Tensor, rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+            cost, gradient, information = self.equations(x, rows, blur)
+            return cost, gradient[:, :OWN], information[:, :OWN, :OWN]
+
+        return equations
+
+    def equations(self, x: Tensor, rows: Tensor, blur: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Give the robust cost [A], gradient [A, 5] and information [A, 5, 5].
+
+        They are in (centre, half width, opacity, skew, blur). The channels of a pixel share the
+        derivative of its alpha, so that they are summed first and the Jacobian of every single
+        number is never formed.
+        """
+        at = self._at(x, rows, blur)
+        J_alpha, weighted = at.J_alpha, at.weight * at.residual
+        cost = (weighted * at.residual * (2 - at.weight)).sum((-1, -2))
+        weighted_J = at.weight * at.J_contrast
+        gradient = (J_alpha @ (weighted * at.J_contrast).sum(1)[..., None])[..., 0]
+        information = (J_alpha * (weighted_J * at.J_contrast).sum(1)[:, None]) @ J_alpha.mT
+        if at.slope is not None and at.J_share is not None:
+            pull, J_share = at.alpha[:, None] * at.slope, at.J_share
+            gradient = gradient + (J_share @ (weighted * pull).sum(1)[..., None])[..., 0]
+            cross = (J_alpha * (weighted_J * pull).sum(1)[:, None]) @ J_share.mT
+            own = (J_share * (at.weight * pull * pull).sum(1)[:, None]) @ J_share.mT
+            information = information + cross + cross.mT + own
+        cost, gradient, information = (v.to(x.dtype) for v in (cost, gradient, information))
+        surprise = self._add_prior(x, rows, gradient, information)
+        return cost + surprise**2, gradient, information
+
+    def full_equations(
+        self, x: Tensor, rows: Tensor, blur: Tensor, J_foreground: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Give gradient [A, 5 + U] and information with U unknowns of the appearance at the end.
+
+        Args:
+            x: own parameters of the chosen profiles [A, 4].
+            rows: which profiles [A].
+            blur: [B] px.
+            J_foreground: derivative of the whitened foreground in the unknowns [A, Q, S, U].
+        """
+        at = self._at(x, rows, blur)
+        J = at.J_contrast[..., None] * at.J_alpha.mT[:, None]
+        if at.slope is not None and at.J_share is not None:
+            J = J + (at.alpha[:, None] * at.slope)[..., None] * at.J_share.mT[:, None]
+        J = torch.cat([J, at.alpha[:, None, :, None] * J_foreground], dim=-1).flatten(1, 2)
+        weighted_J = at.weight.flatten(1)[..., None] * J
+        gradient = (weighted_J.mT @ at.residual.flatten(1)[..., None])[..., 0].to(x.dtype)
+        information = (weighted_J.mT @ J).to(x.dtype)
+        self._add_prior(x, rows, gradient, information)
+        return gradient, information
+
+    def J_appearance(self, estimator: AlphaEstimator, x: Tensor, rows: Tensor) -> Tensor:
+        """Give the derivative of the whitened foreground in the estimator's U unknowns.
+
+        The foreground is linear in them. [A, Q, S, U]
+        """
+        offset = (self.offset[rows] - x[:, :1]) / x[:, 1:2]
+        chord = Chord(offset=offset.clamp(-1, 1).to(PRECISION), direction=self.direction[rows])
+        count = estimator.unknowns()
+        at_zero = estimator.foreground(chord, torch.zeros(count, dtype=x.dtype))
+        columns = [
+            (estimator.foreground(chord, unit) - at_zero).mT * self.whitening[rows]
+            for unit in torch.eye(count, dtype=x.dtype)
+        ]
+        J = torch.stack(columns, dim=-1)
+        # behind a mosaic the model holds one channel a pixel
+        return J if J.shape[1] == self.observed.shape[1] else J.sum(1, keepdim=True)
+
+    def _at(self, x: Tensor, rows: Tensor, blur: Tensor) -> "_Evaluated":
+        # indexing copies: while every profile is still searched for, a slice does
+        chosen = slice(None) if len(rows) == len(self.offset) else rows
+        own_blur = blur.repeat_interleave(len(self.offset) // len(blur))[chosen][:, None]
+        own_blur = own_blur.to(PRECISION)
+        centre, half_width, opacity, skew = x[:, None, :].to(PRECISION).unbind(-1)
+        offset = self.offset[chosen]
+        bend = self.skew_mean[rows][:, None].to(PRECISION) if self.is_bent else None
+        alpha, J_alpha = semi_ellipse_and_J(
+            offset, centre, half_width, opacity, skew, own_blur, bend
+        )
+        J_alpha = J_alpha.mT
+        share = (offset - centre) / half_width
+        contrast, J_contrast, slope = self._contrast(share, chosen)
+        residual = alpha[:, None] * contrast - self.observed[chosen]
+        J_share = None
+        if slope is not None:
+            J_share = torch.zeros_like(J_alpha)
+            J_share[:, 0], J_share[:, 1] = -1 / half_width, -share / half_width
+        return _Evaluated(
+            alpha=alpha,
+            J_alpha=J_alpha,
+            J_share=J_share,
+            J_contrast=J_contrast,
+            slope=slope,
+            residual=residual,
+            weight=OUTLIER_SAMPLE / residual.abs().clamp_min(OUTLIER_SAMPLE),
+        )
+
+    def _add_prior(self, x: Tensor, rows: Tensor, gradient: Tensor, information: Tensor) -> Tensor:
+        """Add what is known of the skew, in place; give its surprise in standard deviations [A]."""
+        surprise = (x[:, 3] - self.skew_mean[rows]) / self.skew_std
+        gradient[:, 3] += surprise / self.skew_std
+        information[:, 3, 3] += 1 / self.skew_std**2
+        return surprise
+
+    def _contrast(
+        self, share: Tensor, rows: Tensor | slice
+    ) -> tuple[Tensor, Tensor, Tensor | None]:
+        """Give ball minus ground, as J sees it too, and its slope along the share, [A, Q, S]."""
+        if self.contrasts is not None:
+            contrast, J_contrast = self.contrasts
+            taken = contrast[rows]
+            return taken, taken if J_contrast is contrast else J_contrast[rows], None
+        foreground, slope = self.estimator.foreground_and_slope(
+            Chord(offset=share.clamp(-1, 1), direction=self.direction[rows])
+        )
+        foreground, weight = foreground.mT, self.whitening[rows]
+        contrast = (foreground - self.ground[rows]) * weight
+        J_contrast = (foreground - self.J_ground[rows]) * weight
+        return contrast, J_contrast, None if slope is None else slope.mT * weight
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Evaluated:
+    """The model at some parameters: A profiles, Q channels, S places; contrasts are whitened."""
+
+    alpha: Tensor  # [A, S]
+    J_alpha: Tensor  # [A, 5, S] in the profile's own parameters and the blur
+    J_contrast: Tensor  # [A, Q, S] ball minus ground, as the Jacobian sees it
+    slope: Tensor | None  # [A, Q, S] of the contrast along the share; None where there is none
+    J_share: Tensor | None  # [A, 5, S] of the share of the half width; None where not needed
+    residual: Tensor  # [A, Q, S]
+    weight: Tensor  # [A, Q, S] robust
+
+
+def _by_channel(values: Tensor) -> Tensor:
+    """From [B, P, S, Q] to [B * P, Q, S]."""
+    return values.flatten(0, 1).mT.to(PRECISION).contiguous()
