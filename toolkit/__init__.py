@@ -9,10 +9,12 @@ from typing import Any
 
 _HOME = {
     "AlphaEstimator": "toolkit.alpha",
+    "BadOutputError": "toolkit.errors",
     "Camera": "toolkit.camera",
     "Chord": "toolkit.alpha",
     "CalibrationError": "toolkit.errors",
     "ConfigError": "toolkit.errors",
+    "Disc": "toolkit.ball",
     "EnvironmentFault": "toolkit.errors",
     "ImageError": "toolkit.errors",
     "LinearImage": "toolkit.types",
@@ -23,6 +25,7 @@ _HOME = {
     "PluginError": "toolkit.errors",
     "ProfileFlag": "toolkit.types",
     "ShapeError": "toolkit.errors",
+    "SharpBall": "toolkit.ball",
     "ShotInputs": "toolkit.shot",
     "StreakError": "toolkit.errors",
     "ToolkitError": "toolkit.errors",

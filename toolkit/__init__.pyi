@@ -1,8 +1,11 @@
 from toolkit.alpha import AlphaEstimator as AlphaEstimator
 from toolkit.alpha import Chord as Chord
 from toolkit.alpha import Observation as Observation
+from toolkit.ball import Disc as Disc
+from toolkit.ball import SharpBall as SharpBall
 from toolkit.camera import Camera as Camera
 from toolkit.camera_file import read_camera as read_camera
+from toolkit.errors import BadOutputError as BadOutputError
 from toolkit.errors import CalibrationError as CalibrationError
 from toolkit.errors import ConfigError as ConfigError
 from toolkit.errors import EnvironmentFault as EnvironmentFault

@@ -24,6 +24,12 @@ class PluginError(ToolkitError):
     exit_code = 2
 
 
+class BadOutputError(PluginError):
+    """An estimator that broke, or gave what cannot be, while it was used."""
+
+    exit_code = 5
+
+
 class ImageError(ToolkitError):
     """A file that cannot be read as a picture, or is of an unsupported kind."""
 

@@ -38,6 +38,41 @@ def parse_option(text: str, kind: Any, where: str) -> Any:
     raise ConfigError(f"{where} cannot be written as text; set it from Python")
 
 
+def format_option(value: object) -> str:
+    """Write a value as `parse_option` reads it.
+
+    Raises:
+        ConfigError: when a value of that kind cannot be written as text.
+
+    Example:
+        >>> format_option((0.2, 0.5, 1.0))
+        '0.2,0.5,1.0'
+    """
+    if value is None:
+        return "none"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, tuple):
+        return ",".join(format_option(part) for part in value)
+    if isinstance(value, int | float | str):
+        return str(value)
+    raise ConfigError(f"a {type(value).__name__} cannot be written as text; set it from Python")
+
+
+def can_be_text(kind: Any) -> bool:
+    """Say whether a field of this type can be set from the command line.
+
+    Example:
+        >>> can_be_text(tuple[float, ...] | None), can_be_text(list[float])
+        (True, False)
+    """
+    if get_origin(kind) in (Union, UnionType):
+        possible = [part for part in get_args(kind) if part is not NoneType]
+        return len(possible) == 1 and can_be_text(possible[0])
+    kinds = get_args(kind) if get_origin(kind) is tuple else (kind,)
+    return all(part in (str, bool, int, float, Ellipsis) for part in kinds)
+
+
 def _parse_number(text: str, kind: type[int] | type[float], where: str) -> int | float:
     try:
         number = kind(text)

@@ -4,12 +4,15 @@ A package declares one by an entry point of the group `toolkit.alpha_estimators`
 are declared in the same way. Listing imports none of them, building the named one only.
 """
 
+import ast
 import inspect
 import re
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, dataclass, fields, replace
 from importlib import metadata
 from importlib.metadata import EntryPoint
+from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
 from toolkit.errors import ConfigError, PluginError, ToolkitError
@@ -21,11 +24,15 @@ if TYPE_CHECKING:  # it brings torch, which a list of names does not need
 
 GROUP = "toolkit.alpha_estimators"
 NAME_PATTERN = re.compile(r"[a-z][a-z0-9_-]{0,40}")
+RESERVED = ("auto",)
+"""Names with a meaning of their own, which no package may claim."""
 
 # how a user gives what an estimator needs to know about the ball; other fields come by --set
 HOW_TO_GIVE = {
     "colour": "the ball's colour: --ball-colour R,G,B, or colours under [ball] in the rig",
     "colours": "the ball's colours: --ball-colour R,G,B each, or colours under [ball] in the rig",
+    "ball": "the ball seen sharply: --ball F.toml --ball-image F, or [ball] file in the rig",
+    "plane_normal": "the plane of the ball's colours: --ball F.toml, or [ball] file in the rig",
 }
 
 
@@ -37,18 +44,40 @@ class PluginInfo:
     distribution: str
     version: str
     target: str  # "module:class"
-    problem: str | None = None  # why it cannot be used
+    place: Path | None = None  # the file it comes from; None when there is no such file
+    problem: str | None = None  # why it cannot be used, as far as that shows
+
+    @property
+    def owner(self) -> str:
+        """The distribution and its version."""
+        return f"{self.distribution} {self.version}"
 
 
 def installed() -> tuple[PluginInfo, ...]:
-    """List the declared estimators by name, the unusable ones included, without importing any."""
+    """List the declared estimators by name, the unusable ones included, without importing any.
+
+    What shows only when a package is imported is found by `tried`.
+    """
     points = sorted(metadata.entry_points(group=GROUP), key=lambda point: point.name)
     names = [point.name for point in points]
     return tuple(_info(point, claims=names.count(point.name)) for point in points)
 
 
+def tried(info: PluginInfo) -> PluginInfo:
+    """Import one estimator and note the problem that this shows, if any."""
+    if info.problem is not None:
+        return info
+    try:
+        load(info.name)
+    except PluginError as error:
+        return replace(info, problem=str(error))
+    return info
+
+
 def load(name: str) -> "type[AlphaEstimator]":
     """Import the one estimator called `name`.
+
+    What would stop any program (Ctrl-C) stops this one too.
 
     Raises:
         PluginError: when no or more than one package declares it, it cannot be imported, or it is
@@ -86,7 +115,7 @@ def build(
         ConfigError: when a field is unknown, missing, or has an impossible value.
     """
     estimator = load(name)
-    kinds = _option_kinds(name, estimator)
+    kinds = option_kinds(name, estimator)
     values: dict[str, object] = {key: given[key] for key in kinds if key in given}
     for key, text in options.items():
         if key not in kinds:
@@ -99,6 +128,22 @@ def build(
     return _make(name, estimator, values)
 
 
+def option_kinds(name: str, estimator: "type[AlphaEstimator]") -> dict[str, Any]:
+    """Give the type of each field of an estimator that can be set.
+
+    Raises:
+        PluginError: when a type is written that does not exist.
+    """
+    try:
+        hints = get_type_hints(estimator)
+    except Exception as error:  # a stranger's code may raise anything
+        raise PluginError(
+            f"estimator '{name}' has a field type that cannot be read ({one_line(error)}); "
+            "its author must correct it"
+        ) from error
+    return {key: hints[key] for key in estimator.option_names()}
+
+
 def name_of(estimator: "type[AlphaEstimator]") -> str:
     """Give the name an estimator is declared by, or that of its class in lower case with hyphens.
 
@@ -107,11 +152,23 @@ def name_of(estimator: "type[AlphaEstimator]") -> str:
         >>> name_of(TwoColour)
         'two-colour'
     """
-    target = f"{estimator.__module__}:{estimator.__qualname__}"
-    for point in metadata.entry_points(group=GROUP):
-        if point.value == target:
-            return point.name
+    point = _declaration(estimator)
+    if point is not None:
+        return point.name
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", estimator.__name__).lower()
+
+
+def called(estimator: "type[AlphaEstimator]") -> str:
+    """Name an estimator for an error: its name, and whose it is where a package declares it.
+
+    Example:
+        >>> class TwoColour: ...
+        >>> called(TwoColour)
+        "estimator 'two-colour'"
+    """
+    point = _declaration(estimator)
+    owner = "" if point is None else f" of {_owner(point)}"
+    return f"estimator '{name_of(estimator)}'{owner}"
 
 
 def missing_fields(
@@ -128,6 +185,13 @@ def missing_fields(
     )
 
 
+def _declaration(estimator: type) -> EntryPoint | None:
+    """Find the entry point that declares a class."""
+    target = f"{estimator.__module__}:{estimator.__qualname__}"
+    points = metadata.entry_points(group=GROUP)
+    return next((point for point in points if point.value == target), None)
+
+
 def _find(name: str) -> EntryPoint:
     points = [point for point in metadata.entry_points(group=GROUP) if point.name == name]
     if not points:
@@ -139,30 +203,76 @@ def _find(name: str) -> EntryPoint:
     if len(points) > 1:
         owners = " and ".join(_owner(point) for point in points)
         raise PluginError(f"estimator '{name}' is declared by {owners}; uninstall one of them")
-    problem = _info(points[0], claims=1).problem
+    problem = _name_problem(name, claims=1)
     if problem is not None:
         raise PluginError(f"estimator '{name}' of {_owner(points[0])}: {problem}")
     return points[0]
 
 
 def _info(point: EntryPoint, claims: int) -> PluginInfo:
-    problem = None
-    if not NAME_PATTERN.fullmatch(point.name):
-        problem = f"its name does not match {NAME_PATTERN.pattern}; its author must rename it"
-    elif claims > 1:
-        problem = f"{claims} packages declare this name; uninstall all but one"
+    place = _place(point.value)
     return PluginInfo(
         name=point.name,
         distribution=point.dist.name if point.dist else "unknown",
         version=point.dist.version if point.dist else "unknown",
         target=point.value,
-        problem=problem,
+        place=place,
+        problem=_name_problem(point.name, claims) or _source_problem(point.value, place),
     )
 
 
 def _owner(point: EntryPoint) -> str:
-    info = _info(point, claims=1)
-    return f"{info.distribution} {info.version}"
+    return f"{point.dist.name} {point.dist.version}" if point.dist else "an unknown distribution"
+
+
+def _name_problem(name: str, claims: int) -> str | None:
+    if not NAME_PATTERN.fullmatch(name):
+        return f"its name does not match {NAME_PATTERN.pattern}; its author must rename it"
+    if name in RESERVED:
+        return f"the name '{name}' is reserved; its author must rename it"
+    if claims > 1:
+        return f"{claims} packages declare this name; uninstall all but one"
+    return None
+
+
+def _place(target: str) -> Path | None:
+    """Find the file of "module:class" without importing anything, not even its package."""
+    top, *below = target.partition(":")[0].strip().split(".")
+    try:
+        spec = find_spec(top) if top else None
+    except (ImportError, ValueError):  # a module that is half made, or broken on purpose
+        return None
+    if spec is None:
+        return None
+    if not below:
+        return Path(spec.origin) if spec.origin else None
+    for folder in spec.submodule_search_locations or ():
+        stem = Path(folder, *below)
+        found = [p for p in (stem.with_suffix(".py"), stem / "__init__.py") if p.is_file()]
+        # a compiled module has a suffix of its machine
+        found += sorted(stem.parent.glob(f"{stem.name}.*.so")) if stem.parent.is_dir() else []
+        if found:
+            return found[0]
+    return None
+
+
+def _source_problem(target: str, place: Path | None) -> str | None:
+    """Say what a look at the source, which runs none of it, shows to be wrong."""
+    module, _, attribute = target.partition(":")
+    if place is None:
+        return f"there is no module {module.strip()}; repair or uninstall that package"
+    if not attribute.strip():
+        return f"'{target}' names no class; its author must declare module:Class"
+    if place.suffix != ".py":
+        return None
+    try:
+        ast.parse(place.read_bytes())
+    except (OSError, SyntaxError, ValueError) as error:
+        return (
+            f"its source cannot be read ({type(error).__name__}: {one_line(error)}); "
+            "repair or uninstall that package"
+        )
+    return None
 
 
 def _contract_problem(loaded: Any) -> str | None:
@@ -180,21 +290,14 @@ def _contract_problem(loaded: Any) -> str | None:
             "install versions that agree"
         )
     # without the decorator the fields of the class would be ignored in silence
-    if inspect.get_annotations(loaded) and "__dataclass_params__" not in vars(loaded):
+    own = {key for key, kind in inspect.get_annotations(loaded).items() if not _is_class_var(kind)}
+    if own and "__dataclass_params__" not in vars(loaded):
         return "has fields but is not a dataclass; its author must add @dataclass(frozen=True)"
     return None
 
 
-def _option_kinds(name: str, estimator: "type[AlphaEstimator]") -> dict[str, Any]:
-    """Give the type of each field that can be set."""
-    try:
-        hints = get_type_hints(estimator)
-    except Exception as error:  # a stranger's code may raise anything
-        raise PluginError(
-            f"estimator '{name}' has a field type that cannot be read ({one_line(error)}); "
-            "its author must correct it"
-        ) from error
-    return {key: hints[key] for key in estimator.option_names()}
+def _is_class_var(kind: Any) -> bool:
+    return "ClassVar" in (kind if isinstance(kind, str) else str(kind))
 
 
 def _make(

@@ -7,10 +7,10 @@ import pytest
 import toolkit
 
 NAMES = """
-AlphaEstimator CalibrationError Camera Chord ConfigError EnvironmentFault ImageError LinearImage
-Measurement MismatchError NoiseModel Observation PluginError ProfileFlag ShapeError ShotInputs
-StreakError ToolkitError draw_overlay load_shot measure measure_shot read_background read_camera
-read_image
+AlphaEstimator BadOutputError CalibrationError Camera Chord ConfigError Disc EnvironmentFault
+ImageError LinearImage Measurement MismatchError NoiseModel Observation PluginError ProfileFlag
+ShapeError SharpBall ShotInputs StreakError ToolkitError draw_overlay load_shot measure measure_shot
+read_background read_camera read_image
 """.split()
 
 
@@ -54,6 +54,7 @@ def test_errors_have_the_documented_codes():
     codes = {
         "ConfigError": 2,
         "PluginError": 2,
+        "BadOutputError": 5,
         "ImageError": 3,
         "MismatchError": 4,
         "StreakError": 5,

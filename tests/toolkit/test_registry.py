@@ -105,6 +105,67 @@ def test_broken_estimator_is_one_line(declare, source, reason):
     assert "\n" not in str(caught.value)
 
 
+def test_ctrl_c_while_importing_stops_everything(declare):
+    declare("raise KeyboardInterrupt", "good = :Good")
+    with pytest.raises(KeyboardInterrupt):
+        registry.load("good")
+    with pytest.raises(KeyboardInterrupt):
+        registry.tried(registry.installed()[0])
+
+
+def test_what_shows_without_importing_is_listed_and_stops_nothing_else(declare):
+    declare(GOOD, "good = :Good")
+    declare("raise SystemExit", "auto = :Auto", distribution="greedy")
+    declare("class Good(:", "wrong = :Good", distribution="sloppy")
+    declare(GOOD, "lost = nowhere_to_be_found.deep:Good", "vague = :", distribution="moved")
+    found = {info.name: info for info in registry.installed()}
+    assert {name for name, info in found.items() if info.problem is None} == {"good"}
+    assert "the name 'auto' is reserved" in found["auto"].problem
+    assert "SyntaxError" in found["wrong"].problem
+    assert found["lost"].place is None
+    assert "no module nowhere_to_be_found.deep" in found["lost"].problem
+    assert "names no class" in found["vague"].problem
+    assert [found[name].owner for name in ("auto", "wrong")] == ["greedy 1.5", "sloppy 1.5"]
+    assert all("\n" not in (info.problem or "") for info in found.values())
+    assert registry.load("good")
+
+
+def test_nobody_may_claim_auto(declare):
+    declare(GOOD, "auto = :Good")
+    with pytest.raises(PluginError, match=r"of shop 1.5: the name 'auto' is reserved"):
+        registry.load("auto")
+
+
+def test_what_only_importing_shows_is_found_by_trying(declare):
+    declare(GOOD, "good = :Good")
+    broken = declare("raise SystemExit(3)", "broken = :Good", distribution="rival")
+    good, bad = (info for info in reversed(registry.installed()))
+    assert registry.tried(good) == good
+    assert bad.problem is None
+    assert broken not in sys.modules
+    assert "of rival 1.5 cannot be imported (SystemExit: 3)" in registry.tried(bad).problem
+
+
+def test_the_place_of_a_plugin_is_its_file(declare):
+    module = declare(GOOD, "good = :Good", "uniform = plugins.uniform:Uniform")
+    places = {info.name: info.place for info in registry.installed()}
+    assert places["good"].name == f"{module}.py"
+    assert places["uniform"].parts[-2:] == ("plugins", "uniform.py")
+
+
+def test_an_error_names_the_estimator_and_its_owner(declare):
+    declare(GOOD, "very-good = :Good")
+    estimator = registry.load("very-good")
+    assert registry.called(estimator) == "estimator 'very-good' of shop 1.5"
+    assert registry.called(type("HalfMatte", (estimator,), {})) == "estimator 'half-matte'"
+
+
+def test_a_class_variable_is_no_field(declare):
+    source = HEAD + "from typing import ClassVar\nclass Good(Base):\n    x: ClassVar[int] = 1\n"
+    declare(source, "good = :Good")
+    assert registry.load("good").x == 1
+
+
 def test_bad_name_is_refused(declare):
     declare(GOOD, "Not-Good = :Good")
     with pytest.raises(PluginError, match="name does not match"):
@@ -152,11 +213,10 @@ def test_bad_option_is_a_config_error(declare, field, text, reason):
         make(**{field: text})
 
 
-def test_missing_fact_is_named_in_the_users_words():
-    with pytest.raises(
-        ConfigError, match="uniform needs the ball's colour: --ball-colour R,G,B, or"
-    ):
-        registry.build("uniform", given={}, options={})
+def test_missing_fact_is_named_in_the_users_words(declare):
+    declare(GOOD, "good = :Good")
+    with pytest.raises(ConfigError, match="good needs the ball's colour: --ball-colour R,G,B, or"):
+        registry.build("good", given={}, options={})
 
 
 def test_missing_other_field_is_reached_by_set(declare):

@@ -25,10 +25,12 @@ class LazyGroup(TyperGroup):
     """
 
     built_in: ClassVar[Mapping[str, str]] = {}
+    entry_points: ClassVar[str | None] = GROUP
+    """The group by which other packages declare commands; None where they cannot."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Name all commands without importing any."""
-        return [*self.built_in, *sorted({point.name for point in _strangers(self.built_in)})]
+        return [*self.built_in, *sorted({point.name for point in self._strangers()})]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Import one command; None when there is no such name."""
@@ -66,11 +68,17 @@ class LazyGroup(TyperGroup):
     def _target(self, name: str) -> str | None:
         if name in self.built_in:
             return self.built_in[name]
-        points = [point for point in _strangers(self.built_in) if point.name == name]
+        points = [point for point in self._strangers() if point.name == name]
         if len(points) > 1:
             owners = " and ".join(owner(point) for point in points)
             raise PluginError(f"command '{name}' is declared by {owners}; uninstall one of them")
         return points[0].value if points else None
+
+    def _strangers(self) -> list[EntryPoint]:
+        if self.entry_points is None:
+            return []
+        points = metadata.entry_points(group=self.entry_points)
+        return [point for point in points if point.name not in self.built_in]
 
 
 def as_command(name: str, loaded: Callable[..., Any] | typer.Typer) -> TyperCommand | TyperGroup:
@@ -107,7 +115,3 @@ def help_line(target: str) -> str:
 def owner(point: EntryPoint) -> str:
     """Name the distribution that declares an entry point."""
     return f"{point.dist.name} {point.dist.version}" if point.dist else "an unknown distribution"
-
-
-def _strangers(built_in: Mapping[str, str]) -> list[EntryPoint]:
-    return [point for point in metadata.entry_points(group=GROUP) if point.name not in built_in]

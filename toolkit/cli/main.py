@@ -40,6 +40,7 @@ class Commands(LazyGroup):
     built_in = {  # noqa: RUF012  (declared a ClassVar in the base)
         "measure": "toolkit.cli.measure:measure",
         "simulate": "toolkit.cli.simulate:simulate",
+        "plugins": "toolkit.cli.plugins:app",
     }
 
 
