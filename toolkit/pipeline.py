@@ -22,6 +22,7 @@ from toolkit.contours import (
 )
 from toolkit.ends import rough_ends
 from toolkit.errors import ConfigError, StreakError
+from toolkit.guarded import guarded
 from toolkit.measurement import Measurement
 from toolkit.profile_fit import BLUR_ROUNDS, fit_profiles, improve_appearance, refine_profiles
 from toolkit.profile_model import KNOWN_SKEW, Skew
@@ -92,10 +93,12 @@ def measure(
         ConfigError: when a number is not positive and finite, or the region lies outside.
         MismatchError: when camera, background and shot do not fit together.
         StreakError: when no trustworthy measurement is possible, with the reason.
+        BadOutputError: when the estimator breaks, or gives what cannot be.
     """
     _check_numbers(ball_radius, ball_radius_std, exposure, exposure_std)
     check_pair(image, background)
     camera = fit_camera(camera, image)
+    name, estimator = name_of(type(estimator)), guarded(estimator)
     watch = _Stopwatch()
 
     view = observe_streak(image, background, estimator, roi)
@@ -121,7 +124,7 @@ def measure(
     result = describe(
         found, uncertainty, ball_radius=ball_radius, exposure=exposure, drift=view.drift
     )
-    return replace(result, estimator=name_of(type(estimator)), timing_s=watch.seconds)
+    return replace(result, estimator=name, timing_s=watch.seconds)
 
 
 def fit_streak(view: StreakView, estimator: AlphaEstimator) -> ProfileFit:
