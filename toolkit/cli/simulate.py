@@ -20,13 +20,13 @@ MIN_SIDE = 100
 BOARD, SQUARE = (9, 6), 0.025
 
 
-Preset = Literal["straight", "parabola", "bounce", "circle"]
+Preset = Literal["straight", "parabola", "bounce", "circle", "shaded", "striped"]
 Format = Literal["dng", "png"]
 
 
 def simulate(
     out: Annotated[Path, typer.Option(metavar="DIR", help="A new folder, or an older simulation.")],
-    preset: Annotated[Preset, typer.Option(help="How the ball moves.")] = "straight",
+    preset: Annotated[Preset, typer.Option(help="How the ball moves, or looks.")] = "straight",
     format: Annotated[Format, typer.Option(help="RAW, or linear 16-bit PNG.")] = "dng",
     size: Annotated[str, typer.Option(metavar="WxH", help="Picture size, px.")] = "1500x1000",
     boards: Annotated[
@@ -47,7 +47,8 @@ def simulate(
 ) -> None:
     """Render a shot with known truth by averaging many sharp images of a ball.
 
-    DIR gets shot, background, rig.toml, camera.toml and truth.json.
+    DIR gets shot, background, rig.toml, camera.toml and truth.json; with a shaded or striped ball
+    also a sharp picture of it.
     """
     width, height = parse_size(size)
     if not 0 <= boards <= MAX_BOARDS:
@@ -57,15 +58,23 @@ def simulate(
     if not (math.isfinite(noise) and math.isfinite(gain)):
         raise ConfigError(f"--noise {noise} and --gain {gain} must be finite shares of white")
 
-    from toolkit.synthetic import NoiseLevel, preset_scene, render_shot
+    from toolkit.synthetic import (
+        NoiseLevel,
+        PlainBall,
+        preset_scene,
+        render_sharp,
+        render_shot,
+    )
     from toolkit.synthetic.folder import claim_folder, write_shot
 
     level = NoiseLevel(read=noise, gain=gain)
     claim_folder(out)  # before the work, which would be lost if the folder cannot be used
     scene = preset_scene(preset, size=(width, height), noise=level, seed=seed)
     shot = render_shot(scene, seed=seed)
+    is_plain = isinstance(scene.appearance, PlainBall)
+    sharp = None if is_plain else render_sharp(scene, seed=seed)
     photos = _photos(scene, boards, seed) if boards else None
-    write_shot(out, shot, format=format, boards=photos, seed=seed)
+    write_shot(out, shot, format=format, sharp=sharp, boards=photos, seed=seed)
     typer.echo(_next_step(out, format, boards))
 
 

@@ -7,6 +7,8 @@ from toolkit.synthetic.appearance import (
     PanelledBall,
     PlainBall,
     StripedBall,
+    mean_colour,
+    pigments,
 )
 from toolkit.synthetic.backgrounds import (
     checked_background,
@@ -60,7 +62,9 @@ __all__ = [
     "board_poses",
     "checked_background",
     "flat_background",
+    "mean_colour",
     "panelled_background",
+    "pigments",
     "preset_scene",
     "render_board",
     "render_sharp",

@@ -22,6 +22,8 @@ WHITE: Colour = (1.0, 1.0, 1.0)
 GOLDEN = (1 + math.sqrt(5)) / 2
 PENTAGON_PLANE, HEXAGON_PLANE = 2.32744, 2.26728
 """Distances of a football's faces from its centre, in edges: a truncated icosahedron."""
+DISC_GRID, INSTANTS = 65, 400
+"""Places across the disc and instants of an exposure whose light is averaged."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,6 +143,31 @@ class LambertBall:
             gloss=self.gloss,
         )
         return ball(normal, time)
+
+
+def pigments(appearance: Appearance) -> tuple[Colour, ...]:
+    """Give the colours a ball is painted with; none for an appearance not of this module."""
+    match appearance:
+        case PlainBall(colour=colour) | LambertBall(colour=colour):
+            return (colour,)
+        case StripedBall(colours=colours) | PanelledBall(colours=colours):
+            return colours
+        case LitBall(pattern=pattern):
+            return pigments(pattern)
+    return ()
+
+
+def mean_colour(appearance: Appearance, exposure: float) -> Colour:
+    """Give a ball's light averaged over its disc and the exposure, s, as seen from far away."""
+    side = torch.linspace(-1, 1, DISC_GRID)
+    x, y = (axis.flatten() for axis in torch.meshgrid(side, side, indexing="xy"))
+    is_inside = x * x + y * y < 1
+    x, y = x[is_inside], y[is_inside]
+    normal = torch.stack([x, y, -(1 - x * x - y * y).sqrt()], dim=-1)
+    times = ((torch.arange(INSTANTS) + 0.5) * (exposure / INSTANTS)).tolist()
+    light = torch.stack([appearance(normal, time).mean(dim=0) for time in times])
+    red, green, blue = light.mean(dim=0).tolist()
+    return (red, green, blue)
 
 
 def _either(colours: tuple[Colour, Colour], is_second: Tensor, like: Tensor) -> Tensor:

@@ -16,10 +16,12 @@ from toolkit.errors import ConfigError, EnvironmentFault
 from toolkit.files import write_text
 from toolkit.imaging import write_dng, write_png16
 from toolkit.plain_data import to_plain
-from toolkit.synthetic.appearance import PlainBall
+from toolkit.synthetic.appearance import Appearance, PlainBall, pigments
+from toolkit.synthetic.backgrounds import Colour
 from toolkit.synthetic.boards import RenderedBoard
 from toolkit.synthetic.paths import BallPath
 from toolkit.synthetic.render import RenderedShot
+from toolkit.synthetic.still import SharpPicture
 from toolkit.toml_text import to_toml
 from toolkit.types import LinearImage
 
@@ -35,6 +37,8 @@ OWN_FILES = (
     "shot.png",
     "background.dng",
     "background.png",
+    "ball.dng",
+    "ball.png",
     "camera.toml",
     "rig.toml",
     "boards/board_[0-9][0-9].dng",
@@ -47,6 +51,7 @@ def write_shot(
     shot: RenderedShot,
     *,
     format: Format = "dng",
+    sharp: SharpPicture | None = None,
     boards: Iterable[RenderedBoard] | None = None,
     seed: int = 0,
 ) -> None:
@@ -59,6 +64,7 @@ def write_shot(
         folder: where to; made when absent, and cleared of an earlier simulation.
         shot: what to write.
         format: "dng", a Bayer mosaic of 14 bits, or "png", linear light in 16 bits.
+        sharp: the ball at rest, for estimators that need to have seen it.
         boards: photos of a board; each is drawn from the iterable when its turn comes.
         seed: noted in truth.json.
 
@@ -67,7 +73,9 @@ def write_shot(
         EnvironmentFault: when it cannot be written.
     """
     claim_folder(folder)
-    write_text(folder / "truth.json", truth_text(shot, seed))
+    write_text(folder / "truth.json", truth_text(shot, seed, sharp))
+    if sharp is not None:
+        write_picture(folder / f"ball.{format}", sharp.image)
     write_picture(folder / f"shot.{format}", shot.image)
     write_picture(folder / f"background.{format}", shot.background)
     write_text(folder / "rig.toml", to_toml("rig", _rig(shot, format)))
@@ -129,7 +137,7 @@ def bayer_values(rgb: NDArray[np.float32]) -> NDArray[np.uint16]:
     return np.clip(stored, 0, WHITE_LEVEL).astype(np.uint16)
 
 
-def truth_text(shot: RenderedShot, seed: int) -> str:
+def truth_text(shot: RenderedShot, seed: int, sharp: SharpPicture | None = None) -> str:
     """Give truth.json: the state at mid-exposure, samples of the path, all that was rendered."""
     scene = shot.scene
     camera = {
@@ -148,7 +156,8 @@ def truth_text(shot: RenderedShot, seed: int) -> str:
         "trajectory": _trajectory(scene.path, scene.exposure),
         "contours": {"left": left, "right": right},
         "camera": camera,
-        "ball": {"radius_m": scene.ball_radius, "colours": _colours(shot)},
+        "ball": {"radius_m": scene.ball_radius, "colours": _lists(pigments(scene.appearance))},
+        "sharp_picture": None if sharp is None else _resting(sharp),
         "exposure_s": scene.exposure,
         "blur_px": scene.blur,
         "noise": scene.noise,
@@ -177,21 +186,40 @@ def _trajectory(path: BallPath, exposure: float) -> dict[str, Any]:
     }
 
 
-def _colours(shot: RenderedShot) -> list[list[float]]:
-    """The ball's one colour; none where it has many."""
-    appearance = shot.scene.appearance
-    return [list(appearance.colour)] if isinstance(appearance, PlainBall) else []
+def _resting(sharp: SharpPicture) -> dict[str, Any]:
+    disc = sharp.disc
+    ellipse = {
+        "centre_px": disc.centre,
+        "semi_axes_px": disc.semi_axes,
+        "angle_rad": disc.angle,
+    }
+    return {"position_m": sharp.position, "disc": ellipse}
 
 
 def _rig(shot: RenderedShot, format: Format) -> dict[str, Any]:
+    scene = shot.scene
+    estimator, colours = _how_to_measure(scene.appearance)
     return {
         "camera": {"file": "camera.toml"},
         "response": {"kind": "linear"},
-        "ball": {"radius_m": shot.scene.ball_radius, "colours": _colours(shot)},
-        "exposure": {"time_s": shot.scene.exposure},
+        "ball": {"radius_m": scene.ball_radius, "colours": _lists(colours)},
+        "exposure": {"time_s": scene.exposure},
         "background": {"images": [f"background.{format}"]},
-        "measure": {"estimator": "uniform"},
+        "measure": {"estimator": estimator},
     }
+
+
+def _how_to_measure(appearance: Appearance) -> tuple[str, tuple[Colour, ...]]:
+    """Give the estimator that suits a ball, and the colours that it needs to be told."""
+    colours = pigments(appearance)
+    if len(colours) == 2:
+        return "two-colour", colours
+    is_plain = isinstance(appearance, PlainBall)
+    return ("uniform", colours) if is_plain else ("known-shading", ())
+
+
+def _lists(colours: tuple[Colour, ...]) -> list[list[float]]:
+    return [list(colour) for colour in colours]
 
 
 def _is_simulation(folder: Path) -> bool:

@@ -1,11 +1,11 @@
-"""Scenes that look like somebody's shot: one of each kind of motion, through a real lens."""
+"""Scenes that look like somebody's shot: each kind of motion and of ball, through a real lens."""
 
 import math
 
 from toolkit.camera import Camera
 from toolkit.errors import ConfigError
-from toolkit.synthetic.appearance import PlainBall
-from toolkit.synthetic.backgrounds import textured_background
+from toolkit.synthetic.appearance import Appearance, LitBall, PlainBall, StripedBall
+from toolkit.synthetic.backgrounds import Colour, textured_background
 from toolkit.synthetic.noise import NoiseLevel
 from toolkit.synthetic.paths import (
     BallPath,
@@ -13,6 +13,7 @@ from toolkit.synthetic.paths import (
     CircularPath,
     ParabolicPath,
     StraightPath,
+    Vector,
 )
 from toolkit.synthetic.render import Scene
 from toolkit.synthetic.scenes import contrasting_colour
@@ -24,12 +25,16 @@ FOCAL_LENGTH = 1600.0
 DISTORTION = (-0.12, 0.05, 0.0005, -0.0003, 0.0)
 """A fair photo lens: 3 % of barrel distortion in the picture's corners."""
 
+LEMON: Colour = (0.9, 0.8, 0.03)
+RED: Colour = (0.95, 0.04, 0.03)
+"""Both far from the grey background, and so is the plane through them and black."""
+LAMP: Vector = (-0.5, -0.6, -0.8)
+
+_STRAIGHT = StraightPath(start=(-0.30, -0.10, 2.45), start_velocity=(30.0, 10.0, 5.0)), 0.02
+
 PRESETS: dict[str, tuple[BallPath, float]] = {
     # path, exposure s
-    "straight": (
-        StraightPath(start=(-0.30, -0.10, 2.45), start_velocity=(30.0, 10.0, 5.0)),
-        0.02,
-    ),
+    "straight": _STRAIGHT,
     "parabola": (
         ParabolicPath(start=(-0.35, 0.05, 2.45), start_velocity=(2.8, -1.3, 0.3)),
         0.25,
@@ -51,6 +56,21 @@ PRESETS: dict[str, tuple[BallPath, float]] = {
             rate=12.0,
         ),
         0.1,
+    ),
+    "shaded": _STRAIGHT,
+    "striped": _STRAIGHT,
+}
+
+BALLS: dict[str, Appearance] = {
+    # other presets show an orange ball in even light
+    "shaded": LitBall(pattern=PlainBall(colour=LEMON), light=LAMP, ambient=0.4, highlight=0.06),
+    "striped": LitBall(
+        # two and a half turns within the exposure
+        pattern=StripedBall(
+            colours=(LEMON, RED), pole=(1.0, 0.5, -0.5), spin=(300.0, 600.0, 400.0)
+        ),
+        light=LAMP,
+        ambient=0.5,
     ),
 }
 
@@ -77,7 +97,7 @@ def preset_scene(
     noise: NoiseLevel | None = None,
     seed: int = 0,
 ) -> Scene:
-    """Give a scene by name: straight, parabola, bounce or circle.
+    """Give a scene by name: a motion of an orange ball, or a shaded or striped one in flight.
 
     Args:
         name: one of `PRESETS`.
@@ -97,7 +117,7 @@ def preset_scene(
         path=path,
         ball_radius=BALL_RADIUS,
         exposure=exposure,
-        appearance=PlainBall(colour=contrasting_colour(background, 0.4)),
+        appearance=BALLS.get(name) or PlainBall(colour=contrasting_colour(background, 0.4)),
         background=background,
         noise=noise or NoiseLevel(read=0.01),
     )

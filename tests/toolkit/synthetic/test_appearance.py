@@ -1,10 +1,21 @@
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 
 from toolkit.errors import ConfigError
-from toolkit.synthetic import LambertBall, LitBall, PanelledBall, PlainBall, StripedBall
+from toolkit.synthetic import (
+    LambertBall,
+    LitBall,
+    PanelledBall,
+    PlainBall,
+    StripedBall,
+    benchmark_scene,
+    mean_colour,
+    pigments,
+    render_sharp,
+)
 
 RED, BLUE = (0.8, 0.1, 0.1), (0.1, 0.2, 0.7)
 BLACK, WHITE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
@@ -136,3 +147,25 @@ def test_a_lambert_ball_is_a_lit_plain_one():
 def test_impossible_light_is_refused(changes):
     with pytest.raises(ConfigError, match="ambient light"):
         LitBall(pattern=PlainBall(colour=RED), **changes)
+
+
+def test_the_mean_colour_is_that_of_the_rendered_disc():
+    scene = replace(
+        benchmark_scene(width_px=60, length_widths=3, blur=0.0),
+        appearance=LitBall(pattern=PanelledBall(colours=(RED, BLUE)), highlight=0.2),
+    )
+    sharp = render_sharp(scene)
+    ball = sharp.clean_image - (1 - sharp.alpha) * scene.background
+    mean = ball.sum(dim=(1, 2)) / sharp.alpha.sum()
+    assert mean_colour(scene.appearance, scene.exposure) == pytest.approx(mean.tolist(), abs=4e-3)
+    times = []
+    mean_colour(lambda normal, time: times.append(time) or normal, 0.5)
+    assert 0 < min(times) < 0.01
+    assert 0.49 < max(times) < 0.5
+
+
+def test_pigments_are_found_under_any_light():
+    assert pigments(PlainBall(colour=RED)) == pigments(LambertBall(colour=RED)) == (RED,)
+    for pattern in patterns():
+        assert pigments(pattern) == pigments(LitBall(pattern=pattern)) == (RED, BLUE)
+    assert pigments(lambda normal, time: normal) == ()

@@ -8,7 +8,16 @@ from toolkit.camera_file import read_camera
 from toolkit.errors import ConfigError, EnvironmentFault
 from toolkit.imaging import read_image
 from toolkit.rig import read_rig
-from toolkit.synthetic import PRESETS, board_poses, preset_scene, render_board, render_shot
+from toolkit.synthetic import (
+    PRESETS,
+    board_poses,
+    mean_colour,
+    pigments,
+    preset_scene,
+    render_board,
+    render_sharp,
+    render_shot,
+)
 from toolkit.synthetic.folder import bayer_values, write_shot
 
 SIZE = (300, 200)
@@ -109,8 +118,42 @@ def test_every_preset_keeps_its_ball_in_the_picture_with_contrast(name):
     border = torch.cat([shot.alpha[[0, -1]].flatten(), shot.alpha[:, [0, -1]].flatten()])
     assert border.max() == 0
     assert 0.05 < shot.alpha.max() < 0.5
-    colour = torch.tensor(scene.appearance.colour)[:, None, None]
-    assert (scene.background - colour).norm(dim=0).min() >= 0.4
+    colour = torch.tensor(mean_colour(scene.appearance, scene.exposure))[:, None, None]
+    assert (scene.background - colour).norm(dim=0).min() >= 0.399
+    assert not render_sharp(scene).image.clipped.any()
+
+
+def test_the_striped_preset_s_background_is_far_off_the_plane_of_its_pigments():
+    scene = preset_scene("striped", size=SIZE)
+    first, second = torch.tensor(pigments(scene.appearance))
+    normal = torch.nn.functional.normalize(torch.linalg.cross(first, second), dim=0)
+    assert torch.einsum("c,chw->hw", normal, scene.background).abs().min() > 0.15
+
+
+@pytest.mark.parametrize(
+    ("preset", "estimator", "told"), [("shaded", "known-shading", 0), ("striped", "two-colour", 2)]
+)
+def test_a_patterned_ball_comes_with_a_sharp_picture_and_its_estimator(
+    tmp_path, preset, estimator, told
+):
+    shot = render_shot(preset_scene(preset, size=SIZE), step=2.0, supersampling=1)
+    sharp = render_sharp(shot.scene, seed=4)
+    write_shot(tmp_path, shot, sharp=sharp, format="png")
+    picture = read_image(tmp_path / "ball.png").rgb
+    assert (picture - sharp.image.rgb.clamp(0, 1)).abs().max() <= 0.51 / 65535
+    rig = read_rig(tmp_path / "rig.toml")
+    assert rig.estimator == estimator
+    colours = pigments(shot.scene.appearance)
+    assert rig.ball_colours == colours[:told]
+    truth = json.loads((tmp_path / "truth.json").read_text())
+    assert [tuple(colour) for colour in truth["ball"]["colours"]] == list(colours)
+    assert truth["sharp_picture"]["position_m"] == pytest.approx(truth["position_m"])
+    disc = truth["sharp_picture"]["disc"]
+    assert (tuple(disc["centre_px"]), tuple(disc["semi_axes_px"])) == (
+        sharp.disc.centre, sharp.disc.semi_axes
+    )  # fmt: skip
+    write_shot(tmp_path, SHOT)
+    assert not (tmp_path / "ball.png").exists()
 
 
 def test_an_unknown_preset_is_refused():
