@@ -31,7 +31,7 @@ RESERVED = ("auto",)
 HOW_TO_GIVE = {
     "colour": "the ball's colour: --ball-colour R,G,B, or colours under [ball] in the rig",
     "colours": "the ball's colours: --ball-colour R,G,B each, or colours under [ball] in the rig",
-    "ball": "the ball seen sharply: --ball F.toml --ball-image F, or [ball] file in the rig",
+    "ball": "a sharp picture of the ball: --ball-image F, or --ball F.toml",
     "plane_normal": "the plane of the ball's colours: --ball F.toml, or [ball] file in the rig",
 }
 

@@ -14,7 +14,7 @@ Colour = tuple[float, float, float]
 _SECTIONS: dict[str, dict[str, type | tuple[type, ...]]] = {
     "camera": {"file": str},
     "response": {"kind": str, "file": str},
-    "ball": {"radius_m": float, "radius_std_m": float, "colours": list},
+    "ball": {"radius_m": float, "radius_std_m": float, "file": str, "colours": list},
     "exposure": {"time_s": float, "time_std_s": float},
     "background": {"images": list},
 }
@@ -29,6 +29,8 @@ class Rig:
     ball_radius: float | None = None  # metre
     ball_radius_std: float | None = None  # metre
     ball_colours: tuple[Colour, ...] = ()  # linear R,G,B, sensor white = 1
+    ball: Path | None = None  # a ball.toml
+    ball_image: Path | None = None  # a sharp picture of the ball, over the shot's background
     exposure: float | None = None  # second
     exposure_std: float | None = None  # second
     background: tuple[Path, ...] = ()
@@ -50,6 +52,9 @@ class Rig:
             ball_radius=other.ball_radius if self.ball_radius is None else self.ball_radius,
             ball_radius_std=other.ball_radius_std if keeps_radius else self.ball_radius_std,
             ball_colours=self.ball_colours or other.ball_colours,
+            # who shows the ball itself speaks of another one than the file does
+            ball=self.ball or (None if self.ball_image else other.ball),
+            ball_image=self.ball_image or (None if self.ball else other.ball_image),
             exposure=other.exposure if self.exposure is None else self.exposure,
             exposure_std=other.exposure_std if keeps_exposure else self.exposure_std,
             background=self.background or other.background,
@@ -79,6 +84,7 @@ def read_rig(path: Path) -> Rig:
         ball_radius=ball.get("radius_m"),
         ball_radius_std=ball.get("radius_std_m"),
         ball_colours=_colours(path, ball.get("colours", [])),
+        ball=None if "file" not in ball else path.parent / ball["file"],
         exposure=exposure.get("time_s"),
         exposure_std=exposure.get("time_std_s"),
         background=_backgrounds(path, table.get("background", {}).get("images", [])),

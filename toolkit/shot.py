@@ -16,6 +16,7 @@ from toolkit.camera_file import fit_camera, read_camera
 from toolkit.errors import ConfigError, ImageError, MismatchError
 from toolkit.files import sha256
 from toolkit.imaging import read_background, read_image
+from toolkit.known_ball import know_ball
 from toolkit.measurement import Caution, InputFile, Inputs, Measurement
 from toolkit.pipeline import measure
 from toolkit.rig import Colour, Rig, read_rig
@@ -64,6 +65,8 @@ def load_shot(
     estimator: str | None = None,
     options: Mapping[str, str] | None = None,
     ball_colours: Sequence[Colour] = (),
+    ball: str | Path | None = None,
+    ball_image: str | Path | None = None,
     roi: Roi | None = None,
     frame: int | None = None,
 ) -> ShotInputs:
@@ -84,6 +87,8 @@ def load_shot(
         estimator: name of the estimator; "uniform" when nobody says.
         options: text by field name of the estimator, as `--set` writes it.
         ball_colours: linear R,G,B of the ball, sensor white = 1, one for each pigment.
+        ball: a ball.toml; colours and radius given otherwise beat those it holds.
+        ball_image: a sharp picture of the ball in the same light, over the same background.
         roi: left, top, width, height of the part that holds the streak, px.
         frame: which picture of a video.
 
@@ -91,6 +96,7 @@ def load_shot(
         ConfigError: naming everything that is missing, or a value that is impossible.
         PluginError: when the estimator is unknown or broken.
         ImageError: when a picture cannot be read.
+        CalibrationError: when the sharp picture shows no disc that can be used.
         MismatchError: when shot, background and camera do not belong together.
     """
     said = Rig(
@@ -99,6 +105,8 @@ def load_shot(
         ball_radius=ball_radius,
         ball_radius_std=ball_radius_std,
         ball_colours=tuple(ball_colours),
+        ball=None if ball is None else Path(ball),
+        ball_image=None if ball_image is None else Path(ball_image),
         exposure=exposure,
         background=tuple(Path(path) for path in background),
         estimator=estimator,
@@ -164,15 +172,17 @@ class _Plan:
     ball_radius: float
     estimator: AlphaEstimator
     estimator_name: str
+    ball_files: tuple[Path, ...]
     settings: Rig
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """All that will be read."""
+        """All that is read."""
         response = self.settings.response
         curve = None if response is None else Path(response)
         own = (self.shot, self.rig, self.camera, curve if curve and curve.is_file() else None)
-        return (*(path for path in own if path is not None), *self.settings.background)
+        named = (path for path in own if path is not None)
+        return (*named, *self.settings.background, *self.ball_files)
 
 
 def _find_rig(shot: Path, rig: Path | None) -> Path | None:
@@ -181,12 +191,17 @@ def _find_rig(shot: Path, rig: Path | None) -> Path | None:
 
 
 def _plan(shot: Path, rig: Path | None, settings: Rig) -> _Plan:
-    """Check what is known before any picture is read; everything missing is named at once."""
+    """Check what is known before any picture is read; everything missing is named at once.
+
+    Only then a sharp picture of the ball is looked at, where the estimator has a field for it.
+    """
     beside = shot.parent / CAMERA_NAME
     camera = settings.camera or (beside if beside.is_file() else None)
-    radius = settings.ball_radius
+    ball = know_ball(settings)
+    radius = ball.radius
     name = settings.estimator or DEFAULT_ESTIMATOR
-    known = {**_facts(settings.ball_colours), **settings.options}
+    fields = registry.load(name).option_names()
+    known = dict.fromkeys([*ball.names, *settings.options])
     needed = registry.missing_fields(registry.load(name), known)
     if len(settings.ball_colours) > 1 and registry.HOW_TO_GIVE["colour"] in needed:
         raise ConfigError(
@@ -202,7 +217,7 @@ def _plan(shot: Path, rig: Path | None, settings: Rig) -> _Plan:
     if camera is None or radius is None or missing:
         raise ConfigError(f"{shot} cannot be measured without {'; and '.join(missing)}")
     _check_numbers(radius, settings)
-    estimator = registry.build(name, given=_facts(settings.ball_colours), options=settings.options)
+    estimator = registry.build(name, given=ball.facts(fields), options=settings.options)
     return _Plan(
         shot=shot,
         rig=rig,
@@ -210,6 +225,7 @@ def _plan(shot: Path, rig: Path | None, settings: Rig) -> _Plan:
         ball_radius=float(radius),
         estimator=estimator,
         estimator_name=name,
+        ball_files=ball.files(fields),
         settings=settings,
     )
 
@@ -242,13 +258,6 @@ def _read_shot(plan: _Plan, roi: Roi | None, frame: int | None) -> ShotInputs:
         provenance=_provenance(settings, image),
         read_time=time.perf_counter() - start,
     )
-
-
-def _facts(colours: tuple[Colour, ...]) -> dict[str, object]:
-    """Say what is known about the ball under the names that estimators use for their fields."""
-    if len(colours) == 1:
-        return {"colour": colours[0], "colours": colours}
-    return {"colours": colours} if colours else {}
 
 
 def _check_numbers(ball_radius: float, settings: Rig) -> None:

@@ -55,6 +55,16 @@ def measure(
             metavar="R,G,B", help="The ball's linear colour, sensor white = 1; twice for two."
         ),
     ] = None,
+    ball: Annotated[
+        Path | None, typer.Option(metavar="F", help="ball.toml, as `toolkit ball` writes it.")
+    ] = None,
+    ball_image: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="F",
+            help="A sharp picture of the ball in the same light, over the same background.",
+        ),
+    ] = None,
     roi: Annotated[
         str | None,
         typer.Option(metavar="X,Y,W,H", help="The part of the picture that holds the streak, px."),
@@ -95,6 +105,8 @@ def measure(
         estimator=estimator,
         options=options,
         ball_colours=colours,
+        ball=ball,
+        ball_image=ball_image,
         roi=corner_and_size,
         frame=frame,
     )

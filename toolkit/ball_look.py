@@ -1,0 +1,89 @@
+"""From a sharp picture to the light of the ball's disc, on a grid that no longer knows the lens."""
+
+import math
+
+import torch
+from torch import Tensor
+
+from toolkit.ball import Disc, SharpBall
+from toolkit.disc import BallView, view_ball, view_disc
+from toolkit.rim import directions, inner_light, sample_light
+from toolkit.types import LinearImage
+
+GRID = (65, 129)
+"""Fewest and most nodes along a side of the grid; between them one a pixel of the disc."""
+RIM = 2.5
+"""px inside the outline whose light is mixed with the background, and is not taken."""
+
+
+def look_at_ball(image: LinearImage, background: LinearImage) -> SharpBall:
+    """Find a resting ball, sharp in the picture, and take the light of its disc.
+
+    Args:
+        image: the ball, B = 1.
+        background: the same view without the ball.
+
+    Raises:
+        CalibrationError: when there is no disc that can be used; the text says why.
+        MismatchError: when the two pictures do not show the same scene in similar light.
+    """
+    return lay_out(view_ball(image, background))
+
+
+def look_at_disc(image: LinearImage, background: LinearImage, disc: Disc) -> SharpBall:
+    """Take the light of a disc that was found before.
+
+    Raises:
+        MismatchError: when the disc does not lie in the picture.
+    """
+    return lay_out(view_disc(image, background, disc))
+
+
+def lay_out(view: BallView) -> SharpBall:
+    """Put the light of a disc on the grid of a `SharpBall`; mixed pixels are not used.
+
+    Where the picture holds more pixels than the grid has nodes, those about a node are averaged.
+    """
+    radius = math.sqrt(view.disc.semi_axes[0] * view.disc.semi_axes[1])
+    size = _odd(min(max(2 * radius, GRID[0]), GRID[1]))
+    line = torch.linspace(-1, 1, size, dtype=torch.float64)
+    y, x = torch.meshgrid(line, line, indexing="ij")
+    place = torch.stack([x, y], dim=-1)
+    rho = torch.linalg.vector_norm(place, dim=-1)
+    inside = 1 - RIM / radius
+    light = _averaged(view.image, view.disc, place, 2 * radius / (size - 1))
+    light = torch.where((rho > inside)[..., None], _extended(view, place, rho), light)
+    return SharpBall(
+        disc=view.picture_disc, rgb=light.movedim(-1, 0).float().contiguous(), clipped=view.clipped
+    )
+
+
+def _averaged(image: LinearImage, disc: Disc, place: Tensor, spacing: float) -> Tensor:
+    """Give the mean light about each node [N, N, 3]; `spacing` is that of the nodes in px."""
+    count = max(1, round(spacing))
+    offsets = ((torch.arange(count, dtype=torch.float64) + 0.5) / count - 0.5) * spacing
+    centre = disc.from_unit(place)
+    total = torch.zeros(*place.shape[:-1], 3, dtype=place.dtype)
+    for down in offsets.tolist():
+        for right in offsets.tolist():
+            shift = torch.tensor([right, down], dtype=place.dtype)
+            total = total + sample_light(image, centre + shift)[0]
+    return total / count**2
+
+
+def _extended(view: BallView, place: Tensor, rho: Tensor) -> Tensor:
+    """Give the light that the ball's inner part suggests near the rim and beyond, [N, N, 3]."""
+    angle = directions(view.disc)
+    light = inner_light(view.image, view.noise, view.disc, angle, RIM)
+    at = torch.atan2(place[..., 1], place[..., 0]) / math.tau % 1 * len(angle)
+    low = at.floor().long() % len(angle)
+    share = (at - at.floor())[..., None, None]
+    near = light[low] * (1 - share) + light[(low + 1) % len(angle)] * share
+    facing = (1 - rho**2).clamp_min(0).sqrt()[..., None]
+    # a noisy rise must not carry the light beyond what any ball sends
+    return (near[..., 0, :] + facing * near[..., 1, :]).clamp_min(0)
+
+
+def _odd(size: float) -> int:
+    """Give the next odd number, so that a node lies at the centre."""
+    return 2 * math.ceil((size - 1) / 2) + 1
