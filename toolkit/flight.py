@@ -20,6 +20,8 @@ from toolkit.motion import PATH_POINTS, Motion, OpacityData, propagate
 MAX_STEPS = 20
 SIZE = 9
 """Numbers in a flight."""
+STRAIGHT = 6
+"""Numbers in a flight that is not accelerated."""
 DURATION = 9
 """Place behind them of the duration that the opacity tells, in exposures."""
 
@@ -122,38 +124,62 @@ def see_ends(curve: Curve, ends: Ends, camera: Camera) -> tuple[Tensor, Tensor, 
 
 
 def fit_flight(
-    start: Flight, seen: Sightings, camera: Camera, ball_radius: float, steps: int = MAX_STEPS
+    start: Flight,
+    seen: Sightings,
+    camera: Camera,
+    ball_radius: float,
+    *,
+    size: int = SIZE,
+    steps: int = MAX_STEPS,
 ) -> FlightFit:
     """Fit the flight to contours, opacity and ends at once.
 
     The duration scales the opacity: it is 1 where ball colour, response and exposure are right.
+
+    Args:
+        start: to search from.
+        seen: what is to be explained.
+        camera: with distortion.
+        ball_radius: m.
+        size: STRAIGHT holds the acceleration at 0.
+        steps: of the search, at most.
     """
+    free = torch.ones(DURATION + 1, dtype=torch.bool)
+    free[size:SIZE] = False
+
+    def whole(parameters: Tensor) -> Tensor:
+        return torch.zeros(DURATION + 1, dtype=torch.float64).masked_scatter(free, parameters)
+
     rays, swing = seen.edges.rays(camera)
     whiten = whitening(seen.opacity.covariance, seen.opacity.weight)
 
     def problem(parameters: Tensor, _: Tensor) -> tuple[Tensor, Tensor]:
-        flight = Flight(coefficients=parameters[0, :SIZE].reshape(3, 3))
+        full = whole(parameters[0])
+        flight = Flight(coefficients=full[:SIZE].reshape(3, 3))
         sides, J_sides = graze_residual(flight, seen.time, rays, swing, ball_radius)
         opacity, J_opacity = crossing_opacity(flight, seen.time, seen.opacity.rays, ball_radius)
-        duration = parameters[0, DURATION]
+        duration = full[DURATION]
         dimmer = (seen.opacity.opacity - duration * opacity)[:, None]
         J_dimmer = -torch.cat([duration * J_opacity, opacity[:, None]], dim=1)[:, None]
         ends, J_ends = _end_residual(flight, seen, camera)
         profiles = whiten @ torch.cat([to_centre(sides), dimmer], dim=1)[..., None]
         J_profiles = whiten @ torch.cat([_widened(to_centre(J_sides)), J_dimmer], dim=1)
         residual = torch.cat([profiles.flatten(), ends])
-        return residual[None], torch.cat([J_profiles.flatten(0, 1), _widened(J_ends)])[None]
+        J = torch.cat([J_profiles.flatten(0, 1), _widened(J_ends)])
+        return residual[None], J[None, :, free]
 
     first = torch.cat([start.coefficients.flatten(), torch.ones(1, dtype=torch.float64)])
-    solution = minimise(problem, first[None], tolerance=1e-3, max_iterations=steps)
-    parameters, chi2 = solution.parameters[0], float(solution.cost[0])
+    solution = minimise(problem, first[None, free], tolerance=1e-3, max_iterations=steps)
+    parameters, chi2 = whole(solution.parameters[0]), float(solution.cost[0])
+    covariance = torch.zeros(DURATION + 1, DURATION + 1, dtype=torch.float64)
+    covariance[torch.outer(free, free)] = solution.covariance[0].flatten()
     flight = Flight(coefficients=parameters[:SIZE].reshape(3, 3))
     ends, _ = _end_residual(flight, seen, camera)
-    dof = seen.count + 2 - len(parameters)
+    dof = seen.count + 2 - int(free.sum())
     return FlightFit(
         flight=flight,
         duration=parameters[DURATION],
-        covariance=solution.covariance[0] * max(chi2 / dof, 1.0),
+        covariance=covariance * max(chi2 / dof, 1.0),
         seen=seen,
         chi2=chi2 - float(ends @ ends),
         converged=bool(solution.converged[0]),
@@ -191,6 +217,8 @@ def levelled(fit: FlightFit, is_level: bool | None = None) -> FlightFit:
     along[6:SIZE] = torch.nn.functional.normalize(fit.flight.coefficients[0], dim=0)
     found = along[:SIZE] @ fit.flight.coefficients.flatten()
     variance = along @ fit.covariance @ along
+    if float(variance) == 0:  # not accelerated at all
+        return fit
     if is_level is None:
         is_level = float(found**2 / variance) < math.log(fit.seen.count)
     if not is_level:

@@ -27,6 +27,8 @@ from toolkit.contours import length_in_widths
 from toolkit.ends import Ends, OpacityMap, locate_ends, rough_ends
 from toolkit.errors import StreakError
 from toolkit.flight import (
+    SIZE,
+    STRAIGHT,
     FlightFit,
     Sightings,
     fit_flight,
@@ -70,7 +72,7 @@ class Reconstruction:
     pace: Pace
     ends: Ends
     motion: Motion
-    flight: FlightFit | None = None  # where the motion is one of constant acceleration
+    flight: FlightFit | None = None  # where the motion is one of constant acceleration, or none
     opacity_std: float = 0.0  # relative, shared by all opacities and not yet in `flight`
 
 
@@ -201,15 +203,15 @@ def opacity_doubt(fit: ProfileFit) -> float:
 def follow_flight(
     found: Reconstruction, pixels: OpacityMap, camera: Camera, ball_radius: float
 ) -> Reconstruction:
-    """Take a bent or uneven motion for a free flight where that explains all profiles as well.
+    """Take the motion for a free flight where that explains all profiles as well.
 
     "As well" by the Bayesian information criterion. The ends are then located anew, since the
     flight tells better than the splines how path and pace go on there.
     """
     curve, pace = found.axis.curve, found.pace
-    if curve.is_line and pace.basis.size == 1:
-        return found
     seen = _sightings(found, camera, ball_radius)
+    if curve.is_line and pace.basis.size == 1:
+        return _follow_straight_flight(found, seen, camera, ball_radius)
     spline_chi2 = _spline_chi2(found, seen, camera, ball_radius)
     spline_size = len(curve.parameters) + pace.basis.size
     scale = max(spline_chi2 / seen.count, 1.0)
@@ -234,13 +236,28 @@ def follow_flight(
     return replace(found, motion=fit.motion(), flight=fit)
 
 
+def _follow_straight_flight(
+    found: Reconstruction, seen: Sightings, camera: Camera, ball_radius: float
+) -> Reconstruction:
+    """Fit a line passed at constant speed to contours and opacity at once.
+
+    How the opacity changes along the streak tells its tilt as well as the contours do.
+    """
+    fit = fit_flight(start_flight(found.motion), seen, camera, ball_radius, size=STRAIGHT)
+    if not fit.converged:
+        return found
+    fit = with_known_opacity(fit, opacity_doubt(found.fit))
+    return replace(found, motion=fit.motion(), flight=fit)
+
+
 def refit_flight(
     found: Reconstruction, flight: FlightFit, camera: Camera, ball_radius: float
 ) -> FlightFit:
     """Fit the flight again through a camera that differs little."""
     opacity = opacity_data(found.fit, found.opacity.s, camera)
     seen = replace(flight.seen, opacity=replace(opacity, weight=flight.seen.opacity.weight))
-    fit = fit_flight(flight.flight, seen, camera, ball_radius, steps=2)
+    size = STRAIGHT if found.axis.curve.is_line else SIZE
+    fit = fit_flight(flight.flight, seen, camera, ball_radius, size=size, steps=2)
     fit = with_known_opacity(fit, opacity_doubt(found.fit))
     return levelled(fit, is_level=flight.is_level)
 

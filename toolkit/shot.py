@@ -203,7 +203,7 @@ def _plan(shot: Path, rig: Path | None, settings: Rig) -> _Plan:
     fields = registry.load(name).option_names()
     known = dict.fromkeys([*ball.names, *settings.options])
     needed = registry.missing_fields(registry.load(name), known)
-    if len(settings.ball_colours) > 1 and registry.HOW_TO_GIVE["colour"] in needed:
+    if len(settings.ball_colours) > 1 and "colour" in fields and "colours" not in fields:
         raise ConfigError(
             f"{len(settings.ball_colours)} ball colours are given, but estimator '{name}' is for "
             "a ball of one; give one, or choose another --estimator"

@@ -95,7 +95,7 @@ def test_everything_missing_is_named_at_once(folder):
     with pytest.raises(ConfigError) as caught:
         load_shot(folder / "shot.png")
     text = str(caught.value)
-    for flag in ("--camera F", "--background F", "--radius METRES", "--ball-colour R,G,B"):
+    for flag in ("--camera F", "--background F", "--radius METRES"):
         assert flag in text
     assert "\n" not in text
 

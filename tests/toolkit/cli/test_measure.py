@@ -88,7 +88,7 @@ def test_missing_inputs_are_one_line_and_2(folder, capsys):
     out, err = capsys.readouterr()
     assert out == ""
     assert err.count("\n") == 1
-    for flag in ("--camera", "--background", "--radius", "--ball-colour"):
+    for flag in ("--camera", "--background", "--radius"):
         assert flag in err
 
 
