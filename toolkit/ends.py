@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from toolkit.alpha import AlphaEstimator, Chord
 from toolkit.axis_curve import Curve, nearest_parameter
 from toolkit.camera import Camera
 from toolkit.errors import StreakError
@@ -41,11 +42,13 @@ Clock = Callable[[Tensor], Tensor]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class OpacityMap:
-    """The opacity of single pixels on a window of the picture."""
+class Surroundings:
+    """The pixels about the streak, and the estimator that knows the ball before them."""
 
-    alpha: Tensor  # [H, W]
-    variance: Tensor  # [H, W]
+    estimator: AlphaEstimator
+    signal: Tensor  # [Q, H, W]
+    ground: Tensor  # [Q, H, W], free of the noise that the signal holds
+    variance: Tensor  # [Q, H, W]
     corner: tuple[int, int]  # of the window in the picture, (x, y) px
 
 
@@ -78,7 +81,7 @@ def locate_ends(
     curve: Curve,
     clock: Clock,
     clock_rate: Clock,
-    opacity: OpacityMap,
+    pixels: Surroundings,
     camera: Camera,
     ball_radius: float,
 ) -> Ends:
@@ -89,7 +92,7 @@ def locate_ends(
         curve: the ball's path.
         clock: share of the exposure passed when the ball is at s.
         clock_rate: its derivative in s.
-        opacity: pixels and their noise.
+        pixels: about the streak.
         camera: with distortion.
         ball_radius: m.
 
@@ -97,7 +100,7 @@ def locate_ends(
         Ends; the standard deviation takes the path and the clock as known.
     """
     located = [
-        _locate_end(s, sign, curve, clock, clock_rate, opacity, camera, ball_radius)
+        _locate_end(s, sign, curve, clock, clock_rate, pixels, camera, ball_radius)
         for s, sign in zip(rough, (1.0, -1.0), strict=True)
     ]
     return Ends(
@@ -113,20 +116,23 @@ def _locate_end(
     curve: Curve,
     clock: Clock,
     clock_rate: Clock,
-    opacity: OpacityMap,
+    pixels: Surroundings,
     camera: Camera,
     ball_radius: float,
 ) -> tuple[Tensor, Tensor, float]:
     """Find one end; sign is 1 at the start, -1 at the stop, where time runs backwards."""
     end = torch.tensor(rough, dtype=torch.float64)
-    cap = _cap_pixels(end, curve, opacity, camera, ball_radius)
+    cap = _cap_pixels(end, curve, pixels, camera, ball_radius)
     rays, nearest = _rays_and_nearest(end, curve, cap, camera)
     enter, leave, is_covered = covering_interval(curve, nearest, rays, ball_radius)
-    alpha, variance = cap.alpha, cap.variance
+    offset = _chord_offset(curve, nearest, rays, ball_radius)
+    direction = _direction(curve, end, camera)
     leading, trailing = (leave, enter) if sign > 0 else (enter, leave)
     low, high = float(enter.min()), float(leave.max())
-    weight = torch.where(is_covered, 1 / variance, 0)
     for _ in range(STEPS):
+        chord = _seen_chord(offset, direction, enter, leave, end, sign)
+        alpha, precision = cap.opacity(chord)
+        weight = torch.where(is_covered, precision, 0)
         inside = ((end - trailing) * sign > 0) & ((leading - end) * sign > 0) & is_covered
         begins = torch.where((end - trailing) * sign > 0, end.expand_as(trailing), trailing)
         model = (sign * (clock(leading) - clock(begins))).clamp_min(0)
@@ -175,25 +181,64 @@ def _moment(curve: Curve, s: Tensor, rays: Tensor) -> tuple[Tensor, Tensor]:
     return torch.linalg.cross(point, rays), torch.linalg.cross(tangent, rays)
 
 
+def _chord_offset(curve: Curve, nearest: Tensor, rays: Tensor, ball_radius: float) -> Tensor:
+    """Distance of each ray from the path in ball radii [N], positive to the right of the motion."""
+    point, tangent = curve.point_and_tangent(nearest)
+    gap = torch.linalg.vector_norm(torch.linalg.cross(point, rays), dim=-1) / ball_radius
+    side = (rays * torch.linalg.cross(point, tangent)).sum(-1).sign()
+    return (side * gap).clamp(-1, 1)
+
+
+def _direction(curve: Curve, end: Tensor, camera: Camera) -> Tensor:
+    """Angle of the motion in the picture at an end [1], radians."""
+    point, tangent = curve.point_and_tangent(end)
+    x, y = (camera.J_project(point) @ tangent[:, None])[:, 0]
+    return torch.atan2(y, x)[None]
+
+
+def _seen_chord(
+    offset: Tensor, direction: Tensor, enter: Tensor, leave: Tensor, end: Tensor, sign: float
+) -> Chord:
+    """Give the part of its chord that each pixel saw: the exposure began or stopped on the way.
+
+    The ball shows its leading rim first, so that the chord is passed from 1 to -1.
+    """
+    passed = (end - enter) / (leave - enter).clamp_min(1e-12)
+    there = (1 - 2 * passed).clamp(-1, 1)
+    if sign > 0:
+        return Chord(offset=offset, direction=direction, stop=there)
+    return Chord(offset=offset, direction=direction, start=there)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Cap:
-    """Pixels about an end, [H, W] of them."""
+    """Pixels about an end, [H, W] of them, N usable ones."""
 
     x: Tensor  # [W] px
     y: Tensor  # [H] px
     is_usable: Tensor  # [H, W] bool
-    alpha: Tensor  # [N] opacity of the usable ones
-    variance: Tensor  # [N]
+    estimator: AlphaEstimator
+    signal: Tensor  # [N, Q]
+    ground: Tensor  # [N, Q]
+    variance: Tensor  # [N, Q]
+
+    def opacity(self, chord: Chord) -> tuple[Tensor, Tensor]:
+        """Give the opacity of every pixel and its precision, [N], where the ball shows `chord`."""
+        contrast = self.estimator.foreground(chord, None) - self.ground
+        weight = contrast / self.variance
+        precision = (weight * contrast).sum(-1)
+        alpha = (weight * (self.signal - self.ground)).sum(-1) / precision.clamp_min(1e-12)
+        return alpha, precision
 
 
 def _cap_pixels(
-    end: Tensor, curve: Curve, opacity: OpacityMap, camera: Camera, ball_radius: float
+    end: Tensor, curve: Curve, pixels: Surroundings, camera: Camera, ball_radius: float
 ) -> _Cap:
     point = curve(end)
     middle = camera.project(point)
     reach = CAP_REACH * ball_radius / float(point[2]) * max(camera.fx, camera.fy)
-    height, width = opacity.alpha.shape
-    corner = torch.tensor(opacity.corner, dtype=torch.float64)
+    height, width = pixels.signal.shape[-2:]
+    corner = torch.tensor(pixels.corner, dtype=torch.float64)
     low = (middle - reach - corner).floor().long().clamp_min(0)
     high = (middle + reach - corner).ceil().long() + 1
     left, right = int(low[0]), min(int(high[0]), width)
@@ -201,18 +246,19 @@ def _cap_pixels(
     if right - left < 3 or bottom - top < 3:
         raise StreakError(LOST_END)
     step = max(1, int(((right - left) * (bottom - top) / MAX_PIXELS) ** 0.5))
-    window = (slice(top, bottom, step), slice(left, right, step))
-    alpha, variance = opacity.alpha[window], opacity.variance[window]
+    window = (slice(None), slice(top, bottom, step), slice(left, right, step))
     x = torch.arange(left, right, step) + corner[0]
     y = torch.arange(top, bottom, step) + corner[1]
     is_near = (x - middle[0]) ** 2 + (y[:, None] - middle[1]) ** 2 <= reach**2
-    is_usable = is_near & torch.isfinite(variance)
+    is_usable = is_near & torch.isfinite(pixels.variance[window]).any(0)
     return _Cap(
         x=x,
         y=y,
         is_usable=is_usable,
-        alpha=alpha[is_usable].double(),
-        variance=variance[is_usable].double(),
+        estimator=pixels.estimator,
+        signal=pixels.signal[window][:, is_usable].mT.double(),
+        ground=pixels.ground[window][:, is_usable].mT.double(),
+        variance=pixels.variance[window][:, is_usable].mT.double(),
     )
 
 

@@ -24,7 +24,7 @@ from toolkit.box_filter import box_mean
 from toolkit.camera import Camera
 from toolkit.canal import couple_points, interpretation_normals, place_cross_sections, straight_axis
 from toolkit.contours import length_in_widths
-from toolkit.ends import Ends, OpacityMap, locate_ends, rough_ends
+from toolkit.ends import Ends, Surroundings, locate_ends, rough_ends
 from toolkit.errors import StreakError
 from toolkit.flight import (
     SIZE,
@@ -157,7 +157,7 @@ def follow_motion(
     first, last = (float(np.interp(end, position, s)) for end in rough_ends(fit))
     reach = CLOCK_MARGIN * half_width
     clock, rate = make_clock(axis.curve, pace, first - reach, last + reach)
-    pixels = opacity_map(view, estimator)
+    pixels = surroundings(view, estimator)
     ends = locate_ends((first, last), axis.curve, clock, rate, pixels, camera, ball_radius)
     found = Reconstruction(
         fit=fit,
@@ -201,7 +201,7 @@ def opacity_doubt(fit: ProfileFit) -> float:
 
 
 def follow_flight(
-    found: Reconstruction, pixels: OpacityMap, camera: Camera, ball_radius: float
+    found: Reconstruction, pixels: Surroundings, camera: Camera, ball_radius: float
 ) -> Reconstruction:
     """Take the motion for a free flight where that explains all profiles as well.
 
@@ -262,19 +262,22 @@ def refit_flight(
     return levelled(fit, is_level=flight.is_level)
 
 
-def opacity_map(view: StreakView, estimator: AlphaEstimator) -> OpacityMap:
-    """Estimate the opacity of every pixel about the streak, without bias.
+def surroundings(view: StreakView, estimator: AlphaEstimator) -> Surroundings:
+    """Give the pixels about the streak such that their opacity is without bias.
 
-    The contrast is that of the neighbours' background: with its own noise in both contrast and
-    signal a pixel would look covered a little, by noise over contrast, squared.
+    The ground is that of the neighbours: with its own noise in both contrast and signal a pixel
+    would look covered a little, by noise over contrast, squared.
     """
     seen = view.observation
     # demosaicing spreads a pixel's noise over the inner 3 x 3
     around = (49 * box_mean(seen.ground, 7) - 9 * box_mean(seen.ground, 3)) / 40
-    alpha, variance = estimator.alpha(
-        replace(seen, signal=seen.signal - seen.ground + around, ground=around)
+    return Surroundings(
+        estimator=estimator,
+        signal=(seen.signal - seen.ground + around)[0],
+        ground=around[0],
+        variance=seen.variance[0],
+        corner=view.corner,
     )
-    return OpacityMap(alpha=alpha[0, 0], variance=variance[0, 0], corner=view.corner)
 
 
 def along_axis(fit: ProfileFit, camera: Camera) -> Tensor:

@@ -1,11 +1,13 @@
 import functools
+from dataclasses import dataclass
 
 import pytest
 import torch
 
+from toolkit.alpha import AlphaEstimator
 from toolkit.axis_curve import nearest_parameter
 from toolkit.camera import Camera
-from toolkit.ends import OpacityMap, covering_interval, locate_ends, rough_ends
+from toolkit.ends import Surroundings, covering_interval, locate_ends, rough_ends
 from toolkit.errors import StreakError
 from toolkit.motion import Pace, make_clock
 from toolkit.splines import SplineBasis
@@ -39,6 +41,27 @@ def exact_clock(path, curve):
     return make_clock(curve, pace, -80.0, LENGTH + 80)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Matte(AlphaEstimator):
+    """The signal is the opacity."""
+
+    def observe(self, image, background, noise):
+        raise NotImplementedError
+
+    def foreground(self, chord, appearance):
+        return torch.ones_like(chord.offset)[..., None]
+
+
+def matte(alpha, variance, corner=(0, 0)):
+    return Surroundings(
+        estimator=Matte(),
+        signal=alpha[None],
+        ground=torch.zeros_like(alpha)[None],
+        variance=variance[None],
+        corner=corner,
+    )
+
+
 @functools.cache
 def rendered(path):
     scene = Scene(
@@ -56,7 +79,7 @@ def rendered(path):
 
 def located(path, alpha, std, rough=(6.0, LENGTH - 5)):
     curve = exact_curve(path)
-    pixels = OpacityMap(alpha=alpha, variance=torch.full_like(alpha, std**2), corner=(0, 0))
+    pixels = matte(alpha, torch.full_like(alpha, std**2))
     return locate_ends(rough, curve, *exact_clock(path, curve), pixels, CAMERA, BALL_RADIUS)
 
 
@@ -106,7 +129,7 @@ def test_a_window_of_the_picture_gives_the_same():
     curve = exact_curve(path)
     left, top = 8, 11
     cut = alpha[top:, left:]
-    pixels = OpacityMap(alpha=cut, variance=torch.full_like(cut, 1e-6), corner=(left, top))
+    pixels = matte(cut, torch.full_like(cut, 1e-6), corner=(left, top))
     ends = locate_ends(
         (6.0, LENGTH - 5), curve, *exact_clock(path, curve), pixels, CAMERA, BALL_RADIUS
     )
@@ -190,6 +213,6 @@ def test_ends_outside_the_window_are_refused():
     path = PATHS["tilted"]
     alpha = torch.zeros(8, 8, dtype=torch.float64)
     curve = exact_curve(path)
-    pixels = OpacityMap(alpha=alpha, variance=alpha + 1, corner=(0, 0))
+    pixels = matte(alpha, alpha + 1)
     with pytest.raises(StreakError, match="ends cannot be located"):
         locate_ends((0.0, LENGTH), curve, *exact_clock(path, curve), pixels, CAMERA, BALL_RADIUS)

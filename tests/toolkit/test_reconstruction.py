@@ -7,13 +7,14 @@ import pytest
 import torch
 
 from plugins.uniform import Uniform
+from toolkit.alpha import Observation
 from toolkit.contours import smooth_contours
 from toolkit.pipeline import fit_streak
 from toolkit.reconstruction import (
     follow_motion,
-    opacity_map,
     reconstruct_axis,
     refit_flight,
+    surroundings,
 )
 from toolkit.synthetic import CircularPath, NoiseLevel, benchmark_scene, render_shot
 from toolkit.uncertainty import SPEED, covariances
@@ -120,12 +121,16 @@ def test_a_flight_through_another_focal_length_lies_deeper(curved):
 
 def test_pixels_off_the_ball_are_covered_by_nothing_on_average():
     _, view, estimator = look(replace(CURVED, noise=NoiseLevel(read=0.03)))
-    pixels = opacity_map(view, estimator)
+    pixels = surroundings(view, estimator)
+    seen = (pixels.signal, pixels.ground, pixels.variance)
+    signal, ground, variance = (values[None] for values in seen)
+    found, _ = estimator.alpha(Observation(signal=signal, ground=ground, variance=variance))
+    alpha = found[0, 0]
     naive, _ = estimator.alpha(view.observation)
-    y, x = torch.meshgrid(*(torch.arange(n) for n in pixels.alpha.shape), indexing="ij")
+    y, x = torch.meshgrid(*(torch.arange(n) for n in alpha.shape), indexing="ij")
     place = torch.stack([x, y], -1).double() + torch.tensor(view.corner)
     away = torch.cdist(place.flatten(0, 1), view.streak.axis[0]).amin(1).reshape(x.shape)
     off = away > 1.5 * float(view.streak.half_width) + 3
-    error = float(pixels.alpha[off].std()) / float(off.sum()) ** 0.5
-    assert abs(float(pixels.alpha[off].mean())) < 4 * error
+    error = float(alpha[off].std()) / float(off.sum()) ** 0.5
+    assert abs(float(alpha[off].mean())) < 4 * error
     assert float(naive[0, 0][off].mean()) > 8 * error  # each pixel's own noise in its contrast
