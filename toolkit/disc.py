@@ -275,7 +275,7 @@ def _check_inside(disc: Disc, image: LinearImage, slack: float) -> None:
 def _check_clipped(share: float) -> None:
     if share > MAX_CLIPPED:
         raise CalibrationError(
-            f"{share:.0%} of the ball met white and only {MAX_CLIPPED:.0%} may; "
+            f"{share:.1%} of the ball met white and only {MAX_CLIPPED:.0%} may; "
             "expose less, or soften the light"
         )
 

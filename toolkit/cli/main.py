@@ -39,6 +39,7 @@ class Commands(LazyGroup):
 
     built_in = {  # noqa: RUF012  (declared a ClassVar in the base)
         "measure": "toolkit.cli.measure:measure",
+        "ball": "toolkit.cli.ball:ball",
         "simulate": "toolkit.cli.simulate:simulate",
         "plugins": "toolkit.cli.plugins:app",
     }

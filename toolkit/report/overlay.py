@@ -6,8 +6,10 @@ from typing import Any
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
+from toolkit.ball import Disc
 from toolkit.files import write_whole
 from toolkit.measurement import ContourPoints, Measurement, ProfileTable
 from toolkit.types import LinearImage
@@ -56,7 +58,40 @@ def write_overlay(path: Path, image: LinearImage, measurement: Measurement) -> N
     Raises:
         EnvironmentFault: when the place cannot be written.
     """
-    picture = draw_overlay(image, measurement)
+    _write(path, draw_overlay(image, measurement))
+
+
+def draw_disc(image: LinearImage, disc: Disc) -> Picture:
+    """Draw the outline of a sharp ball's disc and its centre.
+
+    Args:
+        image: the picture of the ball.
+        disc: where it was found.
+
+    Returns:
+        sRGB picture [H, W, 3] of 8 bits, R first; its brightness is stretched to be seen.
+    """
+    picture = _visible(image)
+    pen = max(1, round(max(image.width, image.height) / REFERENCE_SIZE))
+    angle = np.linspace(0, 2 * np.pi, 361)
+    outline = torch.from_numpy(np.stack([np.cos(angle), np.sin(angle)], axis=-1))
+    _draw_line(picture, disc.from_unit(outline).numpy(), CONTOUR, pen)
+    arms = np.array([[[-4, 0], [4, 0]], [[0, -4], [0, 4]]], dtype=float) * pen
+    for arm in arms:
+        _draw_line(picture, np.array(disc.centre) + arm, AXIS, pen)
+    return picture
+
+
+def write_disc_overlay(path: Path, image: LinearImage, disc: Disc) -> None:
+    """Write `draw_disc` as a PNG, whole or not at all.
+
+    Raises:
+        EnvironmentFault: when the place cannot be written.
+    """
+    _write(path, draw_disc(image, disc))
+
+
+def _write(path: Path, picture: Picture) -> None:
     _, encoded = cv2.imencode(".png", picture[..., ::-1])
     with write_whole(path) as temporary:
         temporary.write_bytes(encoded.tobytes())
