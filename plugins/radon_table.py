@@ -15,9 +15,9 @@ from toolkit.ball import SharpBall
 DIRECTIONS = 64
 """Over the whole circle; even, since opposite ones share their chords."""
 OFFSETS = 65
-PLACES = 49
+PLACES = 65
 """Along a chord."""
-SHORTEST = 0.004
+SHORTEST = 0.02
 """Half length, in shares of the chord, to which shorter parts are lengthened about their middle."""
 RIM = 0.05
 """Half length of a chord at which the slope in the offset, infinite at the rim, stops growing."""
@@ -38,7 +38,7 @@ class RadonTable:
     """
 
     cumulative: Tensor  # [T, O, L, 3] integral from the trailing rim, over the chord's half length
-    cubics: Tensor  # [T, C, 4, 3] in each cell, of the mean over the whole chord
+    cubics: Tensor  # [T, 4, 3, C] in each cell, of the mean over the whole chord
 
     @classmethod
     def of(cls, ball: SharpBall) -> "RadonTable":
@@ -52,7 +52,7 @@ class RadonTable:
         opposite = half[:, :, -1:].flip(1) - half.flip(1, 2)
         cumulative = _with_ghosts(_with_ghosts(torch.cat([half, opposite]), 1), 2)
         neighbours = cumulative[:, :, -2].unfold(1, 4, 1) / 2
-        return cls(cumulative=cumulative, cubics=torch.einsum("ij,tcqj->tciq", KEYS, neighbours))
+        return cls(cumulative=cumulative, cubics=torch.einsum("ij,tcqj->tiqc", KEYS, neighbours))
 
     def whole(self, offset: Tensor, direction: Tensor) -> tuple[Tensor, Tensor]:
         """Give the mean over whole chords and its slope in the offset.
@@ -64,15 +64,16 @@ class RadonTable:
         Returns:
             Colours and slopes [..., S, 3]; beyond the rim the colour is that of the rim.
         """
-        rows = _among_directions(self.cubics.to(offset), direction.flatten())
-        cell, x, slope_x = _locate(offset, OFFSETS)
-        row = torch.arange(len(rows), device=offset.device).reshape(direction.shape)
-        cubics = rows.flatten(0, 1).flatten(1)[row * (OFFSETS - 1) + cell]
-        c0, c1, c2, c3 = cubics.reshape(*cell.shape, 4, 3).unbind(-2)
-        x = x[..., None]
+        if direction.numel() > 1:
+            direction = direction.expand(*offset.shape[:-1], 1)
+        cubics = _among_directions(self.cubics.to(offset), direction.flatten())
+        # channels before samples: this runs for every sample in every step of the fit
+        cell, x, per_offset = _locate(offset.reshape(len(cubics), 1, -1), OFFSETS)
+        near = cubics.flatten(1, 2).gather(2, cell.expand(-1, 12, -1))
+        c0, c1, c2, c3 = near.reshape(len(cubics), 4, 3, -1).unbind(1)
         value = c0 + x * (c1 + x * (c2 + x * c3))
-        slope = (c1 + x * (2 * c2 + x * (3 * c3))) * slope_x[..., None]
-        return value, slope
+        slope = (c1 + x * (2 * c2 + x * (3 * c3))) * per_offset
+        return value.mT.reshape(*offset.shape, 3), slope.mT.reshape(*offset.shape, 3)
 
     def part(
         self, offset: Tensor, direction: Tensor, start: Tensor, stop: Tensor
