@@ -48,7 +48,7 @@ def simulate(
     """Render a shot with known truth by averaging many sharp images of a ball.
 
     DIR gets shot, background, rig.toml, camera.toml and truth.json; with a shaded or striped ball
-    also a sharp picture of it.
+    also ball.toml and a sharp picture of it.
     """
     width, height = parse_size(size)
     if not 0 <= boards <= MAX_BOARDS:

@@ -10,17 +10,18 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from toolkit.ball_file import BallFile, SharpSource, write_ball
 from toolkit.camera import Camera
 from toolkit.camera_file import write_camera
 from toolkit.errors import ConfigError, EnvironmentFault
 from toolkit.files import write_text
 from toolkit.imaging import write_dng, write_png16
 from toolkit.plain_data import to_plain
-from toolkit.synthetic.appearance import Appearance, PlainBall, pigments
+from toolkit.synthetic.appearance import Appearance, PlainBall, mean_colour, pigments
 from toolkit.synthetic.backgrounds import Colour
 from toolkit.synthetic.boards import RenderedBoard
 from toolkit.synthetic.paths import BallPath
-from toolkit.synthetic.render import RenderedShot
+from toolkit.synthetic.render import RenderedShot, Scene
 from toolkit.synthetic.still import SharpPicture
 from toolkit.toml_text import to_toml
 from toolkit.types import LinearImage
@@ -39,6 +40,7 @@ OWN_FILES = (
     "background.png",
     "ball.dng",
     "ball.png",
+    "ball.toml",
     "camera.toml",
     "rig.toml",
     "boards/board_[0-9][0-9].dng",
@@ -64,7 +66,8 @@ def write_shot(
         folder: where to; made when absent, and cleared of an earlier simulation.
         shot: what to write.
         format: "dng", a Bayer mosaic of 14 bits, or "png", linear light in 16 bits.
-        sharp: the ball at rest, for estimators that need to have seen it.
+        sharp: the ball at rest, for estimators that need to have seen it; ball.toml comes with it
+            and tells its true disc and pigments.
         boards: photos of a board; each is drawn from the iterable when its turn comes.
         seed: noted in truth.json.
 
@@ -76,9 +79,11 @@ def write_shot(
     write_text(folder / "truth.json", truth_text(shot, seed, sharp))
     if sharp is not None:
         write_picture(folder / f"ball.{format}", sharp.image)
+        write_ball(folder / "ball.toml", _ball(folder, shot.scene, sharp, format))
     write_picture(folder / f"shot.{format}", shot.image)
     write_picture(folder / f"background.{format}", shot.background)
-    write_text(folder / "rig.toml", to_toml("rig", _rig(shot, format)))
+    rig = _rig(shot.scene, format, has_ball_file=sharp is not None)
+    write_text(folder / "rig.toml", to_toml("rig", rig))
     if boards is None:
         images = [f"shot.{format}"]
         camera = _known_exactly(shot.scene.camera)
@@ -196,17 +201,41 @@ def _resting(sharp: SharpPicture) -> dict[str, Any]:
     return {"position_m": sharp.position, "disc": ellipse}
 
 
-def _rig(shot: RenderedShot, format: Format) -> dict[str, Any]:
-    scene = shot.scene
+def _rig(scene: Scene, format: Format, *, has_ball_file: bool) -> dict[str, Any]:
     estimator, colours = _how_to_measure(scene.appearance)
+    file = {"file": "ball.toml"} if has_ball_file else {}
     return {
         "camera": {"file": "camera.toml"},
         "response": {"kind": "linear"},
-        "ball": {"radius_m": scene.ball_radius, "colours": _lists(colours)},
+        "ball": {"radius_m": scene.ball_radius, **file, "colours": _lists(colours)},
         "exposure": {"time_s": scene.exposure},
         "background": {"images": [f"background.{format}"]},
         "measure": {"estimator": estimator},
     }
+
+
+def _ball(folder: Path, scene: Scene, sharp: SharpPicture, format: Format) -> BallFile:
+    colours = pigments(scene.appearance)
+    normal = None
+    if len(colours) == 2:
+        first, second = torch.tensor(colours, dtype=torch.float64)
+        across = torch.linalg.cross(first, second)
+        x, y, z = torch.nn.functional.normalize(across, dim=0).tolist()
+        normal = (x, y, z)
+    else:
+        # a pigment under a lamp is nowhere seen as it is
+        colours = (mean_colour(scene.appearance, scene.exposure),)
+    return BallFile(
+        radius=scene.ball_radius,
+        colours=colours,
+        plane_normal=normal,
+        sharp=SharpSource(
+            image=folder / f"ball.{format}",
+            background=(folder / f"background.{format}",),
+            disc=sharp.disc,
+            response="linear",
+        ),
+    )
 
 
 def _how_to_measure(appearance: Appearance) -> tuple[str, tuple[Colour, ...]]:

@@ -26,7 +26,7 @@ def test_a_folder_holds_all_that_a_measurement_needs(tmp_path, capsys, preset):
     assert stderr == ""
     names = {"shot.dng", "background.dng", "camera.toml", "rig.toml", "truth.json"}
     if preset in ("shaded", "striped"):
-        names.add("ball.dng")
+        names |= {"ball.dng", "ball.toml"}
     assert {path.name for path in out.iterdir()} == names
     truth = json.loads((out / "truth.json").read_text())
     assert truth["seed"] == 3

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from toolkit.ball_file import read_ball
 from toolkit.camera_file import read_camera
 from toolkit.errors import ConfigError, EnvironmentFault
 from toolkit.imaging import read_image
@@ -145,6 +146,12 @@ def test_a_patterned_ball_comes_with_a_sharp_picture_and_its_estimator(
     assert rig.estimator == estimator
     colours = pigments(shot.scene.appearance)
     assert rig.ball_colours == colours[:told]
+    assert rig.ball == tmp_path / "ball.toml"
+    ball = read_ball(rig.ball)
+    assert (ball.sharp.image, ball.sharp.disc) == (tmp_path / "ball.png", sharp.disc)
+    if told:
+        assert ball.colours == colours
+        assert abs(np.dot(ball.colours, ball.plane_normal)).max() < 1e-9
     truth = json.loads((tmp_path / "truth.json").read_text())
     assert [tuple(colour) for colour in truth["ball"]["colours"]] == list(colours)
     assert truth["sharp_picture"]["position_m"] == pytest.approx(truth["position_m"])
@@ -154,6 +161,7 @@ def test_a_patterned_ball_comes_with_a_sharp_picture_and_its_estimator(
     )  # fmt: skip
     write_shot(tmp_path, SHOT)
     assert not (tmp_path / "ball.png").exists()
+    assert read_rig(tmp_path / "rig.toml").ball is None
 
 
 def test_an_unknown_preset_is_refused():
