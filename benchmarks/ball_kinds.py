@@ -54,7 +54,9 @@ from toolkit import (
     measure,
     registry,
 )
-from toolkit.ball_look import look_at_ball
+from toolkit.ball_colours import learn_colours
+from toolkit.ball_look import lay_out
+from toolkit.disc import view_ball
 from toolkit.synthetic import (
     Appearance,
     LitBall,
@@ -142,16 +144,16 @@ KINDS = {
         paint=lambda _, generator: _lit(PlainBall(colour=LEMON), generator, HIGHLIGHT),
         methods=(SHADING,),
     ),
-    "stripes": Kind(paint=_stripes, methods=(PIGMENTS,)),
+    "stripes": Kind(paint=_stripes, methods=(PIGMENTS, LEARNT)),
     "lit stripes": Kind(
         paint=lambda scene, generator: _lit(_stripes(scene, generator), generator),
-        methods=(PIGMENTS,),
+        methods=(PIGMENTS, LEARNT),
     ),
     "lit panels": Kind(
         paint=lambda scene, generator: _lit(
             PanelledBall(colours=(LEMON, RED), spin=_spin(scene, generator)), generator
         ),
-        methods=(PIGMENTS,),
+        methods=(PIGMENTS, LEARNT),
     ),
 }
 
@@ -196,10 +198,12 @@ def know(shot: RenderedShot, sharp: SharpPicture) -> dict[str, object]:
         "colours": pigments(appearance),
     }
     try:
-        ball = look_at_ball(sharp.image, shot.background)
+        view = view_ball(sharp.image, shot.background)
+        normal = learn_colours([view]).normal
     except CalibrationError as refusal:
         return known | {"ball": refusal, "plane_normal": refusal}
-    return known | {"ball": ball}
+    no_plane = CalibrationError("the sharp picture's colours span no plane")
+    return known | {"ball": lay_out(view), "plane_normal": normal or no_plane}
 
 
 def run(shot: RenderedShot, estimator: AlphaEstimator) -> Measurement:
