@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from toolkit.errors import ConfigError, StreakError
+from toolkit.errors import BadOutputError, ConfigError, StreakError
 
 if TYPE_CHECKING:
     from toolkit.measurement import Measurement
@@ -113,7 +113,7 @@ def measure(
     _check_outputs(out, overlay, inputs=loaded.files)
     try:
         measurement = measure_shot(loaded)
-    except StreakError as error:
+    except (StreakError, BadOutputError) as error:
         _hand_out(refuse_shot(loaded, str(error)), out, json)
         raise
     if overlay is not None:
