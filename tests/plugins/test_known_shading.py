@@ -262,5 +262,5 @@ def test_something_else_than_a_ball_is_refused():
 def test_it_is_declared_by_its_name(estimator):
     made = build("known-shading", given={"ball": estimator.ball, "colour": (1, 1, 1)}, options={})
     assert isinstance(made, KnownShading)
-    with pytest.raises(ConfigError, match="known-shading needs .*--ball-image F"):
+    with pytest.raises(ConfigError, match=r"known-shading needs .*--ball-image F"):
         build("known-shading", given={}, options={})
