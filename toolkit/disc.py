@@ -20,9 +20,9 @@ MARGIN = 1.5
 """Radii about the centre that the window holds, and 12 px more."""
 SEARCHES = (0.2, 0.1)
 """Shares of the radius, besides 2 px, within which the rim is first sought, by round."""
-REACH_SPREADS, MIN_REACH, MAX_REACH = 2.5, 2.2, 0.3
-"""Half width of the zone that holds the transition from ball to background: in standard deviations
-of that transition, in px at least, and as a share of the radius at most."""
+FIRST_BLUR, LEAST_BLUR, MOST_BLUR = 1.2, 0.3, 0.12
+"""Standard deviation of the transition from ball to background: in px at first and at least, and as
+a share of the radius at most."""
 ROUNDS = 6
 MIN_DIRECTIONS = 16
 SETTLED = 0.01
@@ -35,9 +35,9 @@ MAX_CLIPPED = 0.03
 """Share of the disc that may have met white: a highlight."""
 MIN_SEEN = 0.5
 """Share of the outline that must be seen, undisturbed and where the ellipse says."""
-MAX_GAP = 0.3
+MAX_GAP = 0.4
 """Share of the outline that may be missing in one piece."""
-OUTLIER = 4.0
+OUTLIER = 3.0
 """Standard deviations from the ellipse beyond which a direction does not count."""
 FLOOR = 0.1
 """px, within which the rim of a real ball follows an ellipse."""
@@ -161,14 +161,16 @@ def _fit(
     for share in SEARCHES:
         rim = search_rim(image, background, noise, disc, 2 + share * disc.semi_axes[1])
         disc, _, weight = _follow(disc, rim)
-    reach = MIN_REACH + 1
+    blur = FIRST_BLUR
     for _ in range(ROUNDS):
-        rim = find_rim(image, background, noise, disc, reach)
+        rim = find_rim(image, background, noise, disc, blur)
         disc, movement, weight = _follow(disc, rim)
-        blur = math.sqrt(max(float(_weighted_mean(rim.spread, weight)), 0.0))
+        spread = rim.spread[(weight > 0) & torch.isfinite(rim.spread)]
+        if len(spread):
+            usual = math.sqrt(max(float(spread.median()), 0.0))
+            blur = min(max(usual, LEAST_BLUR), MOST_BLUR * disc.semi_axes[1])
         if movement < SETTLED:
             break
-        reach = min(max(MIN_REACH, REACH_SPREADS * blur), MAX_REACH * disc.semi_axes[1])
     return disc, rim, weight > 0
 
 
@@ -181,7 +183,11 @@ def _follow(disc: Disc, rim: Rim) -> tuple[Disc, float, Tensor]:
             "no disc found: the outline is not seen against the background; show the whole ball, "
             "resting, before a background of another brightness or colour"
         )
-    return _changed(disc, change, _outline_std(rim, weight)), float(change.abs().max()), weight
+    return (
+        _changed(disc, change, _outline_std(rim, change, weight)),
+        float(change.abs().max()),
+        weight,
+    )
 
 
 def _fit_harmonics(rim: Rim) -> tuple[Tensor, Tensor]:
@@ -216,11 +222,15 @@ def _robust_scale(values: Tensor, usable: Tensor) -> float:
     return max(float(values[usable].abs().median()) / 0.674, 1.0)
 
 
-def _outline_std(rim: Rim, weight: Tensor) -> float:
-    """Standard deviation of the outline, px, averaged over all directions."""
+def _outline_std(rim: Rim, change: Tensor, weight: Tensor) -> float:
+    """Standard deviation of the outline, px, averaged over all directions.
+
+    Where the rims scatter by more than their variances say, as on a patterned ball, it grows.
+    """
     design = _harmonics(rim.angle)
     covariance = torch.linalg.pinv(design.mT @ (weight[:, None] * design))
-    return math.sqrt(max(float((design @ covariance * design).sum(-1).mean()), 0.0))
+    scatter = _robust_scale((rim.shift - design @ change) * weight.sqrt(), weight > 0)
+    return scatter * math.sqrt(max(float((design @ covariance * design).sum(-1).mean()), 0.0))
 
 
 def _changed(disc: Disc, change: Tensor, std: float) -> Disc:
@@ -243,10 +253,6 @@ def _changed(disc: Disc, change: Tensor, std: float) -> Disc:
 def _half_turn(angle: float) -> float:
     """Bring the angle of an axis between -pi/2 and pi/2."""
     return (angle + math.pi / 2) % math.pi - math.pi / 2
-
-
-def _weighted_mean(values: Tensor, weight: Tensor) -> Tensor:
-    return (values * weight).sum() / weight.sum().clamp_min(1e-12)
 
 
 def _check_size(disc: Disc) -> None:
@@ -299,7 +305,10 @@ def _check_rest(rim: Rim, counted: Tensor, disc: Disc) -> None:
     A ball that moves by m px has a rim whose transition has the variance m^2 / 12 along the motion
     and none across. [derived]
     """
+    counted = counted & torch.isfinite(rim.spread)
     angle, spread = rim.angle[counted], rim.spread[counted]
+    if len(angle) < MIN_DIRECTIONS:
+        return
     design = torch.stack([torch.ones_like(angle), (2 * angle).cos(), (2 * angle).sin()], dim=-1)
     usual = spread.median()
     near = (spread - usual).abs() <= 6 * (spread - usual).abs().median()

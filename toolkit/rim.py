@@ -19,9 +19,23 @@ NEAREST = 1.0
 """px of the same band that are believed alone where it holds the edge of a pattern."""
 MISFIT = 4.0
 """Variance of the band's light about its fit, over that of noise, which tells of such an edge."""
+FINE = 0.25
+"""px between the places at which the unblurred light is known."""
+REACH_SPREADS, MIN_REACH, OUTSIDE = 2.5, 2.2, 3.0
+"""Half width of the zone that holds the transition, in standard deviations of it and in px at
+least, and the px beyond it in which background must be seen."""
+STEPS = 4
+SPREAD_PRIOR = 0.1
+"""Weight of the common blur in each direction's own, 1 / px^4."""
+USUAL_MISFIT = 2.0
+"""Chi-square per sample above which a direction counts for less."""
+MIN_INFORMATION = 4.0
+"""1 / px^2: the rim is known to half a pixel."""
+SEARCHED_STD, AGREEMENT = 0.5, 0.5
+"""px: error of the first search, and how far from it a fitted rim may lie."""
 INSIDE = 2.5
 """px inwards at which the ball's light is looked up in the first search."""
-MAX_OUTSIDE = 0.08
+MAX_OUTSIDE = 0.05
 """Opacity beyond the rim from which a direction counts as disturbed: a shadow, a stand."""
 MIN_CONTRAST = 4.0
 """Contrast at the rim over its standard deviation, summed over channels."""
@@ -34,7 +48,7 @@ class Rim:
     angle: Tensor  # [D] radians, on the unit disc
     shift: Tensor  # [D] px, of the rim from that of the disc, outwards
     variance: Tensor  # [D] px^2, infinite where nothing can be told
-    spread: Tensor  # [D] px^2, variance of the transition from ball to background
+    spread: Tensor  # [D] px^2, variance of the transition; NaN where that is not known
 
 
 def directions(disc: Disc) -> Tensor:
@@ -95,14 +109,18 @@ def search_rim(
     lag = round(INSIDE / STEP)
     change, inside = whitened[:, lag:], whitened[:, :-lag]
     energy = (inside**2).sum(-1)
-    is_ball = ((change * inside).sum(-1) > energy / 2) & (energy > MIN_CONTRAST**2)
+    remains = (change * inside).sum(-1) / energy.clamp_min(1e-9)
+    is_ball = (remains > 0.5) & (energy > MIN_CONTRAST**2)
     last = is_ball.shape[1] - 1 - is_ball.flip(1).int().argmax(1)
     found = is_ball.any(1) & (last < is_ball.shape[1] - 1) & (last > 0)
+    row, following = torch.arange(len(angle)), (last + 1).clamp_max(is_ball.shape[1] - 1)
+    above, below = remains[row, last], remains[row, following]
+    share = ((above - 0.5) / (above - below).clamp_min(1e-9)).clamp(0, 1)
     return Rim(
         angle=angle,
-        shift=offset[lag:][last] + STEP / 2,
-        variance=torch.where(found, 0.5, torch.inf).double(),
-        spread=torch.ones_like(angle),
+        shift=offset[lag:][last] + STEP * share,
+        variance=torch.where(found, SEARCHED_STD**2, torch.inf).double(),
+        spread=torch.full_like(angle, torch.nan),
     )
 
 
@@ -111,71 +129,100 @@ def find_rim(
     background: LinearImage,
     noise: NoiseModel,
     disc: Disc,
-    reach: float,
+    blur: float,
 ) -> Rim:
-    """Find the rim near that of `disc` in every direction, from the area under the mixed pixels.
+    """Find the rim near that of `disc` in every direction, by fitting the mixed pixels.
 
-    With alpha the share of the ball in a pixel, the radius r satisfies r^2 = rho0^2 + 2 integral of
-    alpha rho over the mixed zone, whatever the lens's blur. [derived]
+    Along a ray the picture is background + blurred (step at the rim times (ball - background)); the
+    step's place and the blur's variance are fitted in each direction. [derived]
 
     Args:
         image: the ball, B = 1.
         background: the same view without it, in the same light.
         noise: of one picture.
-        disc: roughly right.
-        reach: px on either side of its rim that hold the transition.
+        disc: right to about a pixel.
+        blur: rough standard deviation of the transition, px.
     """
     angle = directions(disc)
     radius = rim_radius(disc, angle)[:, None]
-    outer = max(3.0, reach)
-    offset = torch.arange(-reach, reach + outer + STEP / 2, STEP, dtype=angle.dtype)
-    rho = 1 + offset / radius
-    seen, is_clipped = _sample(image, disc, angle, rho)
-    empty, is_empty_clipped = _sample(background, disc, angle, rho)
+    reach = max(MIN_REACH, REACH_SPREADS * blur)
+    zone = torch.arange(-reach, reach + OUTSIDE + STEP / 2, STEP, dtype=angle.dtype)
+    seen, is_clipped = _sample(image, disc, angle, 1 + zone / radius)
+    empty, is_empty_clipped = _sample(background, disc, angle, 1 + zone / radius)
     light = inner_light(image, noise, disc, angle, reach)
-    facing = (1 - rho**2).clamp_min(0).sqrt()
-    ball = light[:, None, 0] + facing[..., None] * light[:, None, 1]
-    variance = _variance(noise, (seen + empty) / 2, 1 + 1 / background.frames)
-    contrast = ball - empty
-    information = (contrast**2 / variance).sum(-1)
-    alpha = (contrast * (seen - empty) / variance).sum(-1) / information.clamp_min(1e-9)
-    mixed = offset <= reach
+    variance = CORRELATION * _variance(noise, (seen + empty) / 2, 1 + 1 / background.frames)
+    fine = torch.arange(float(zone[0]) - 4 * blur, float(zone[-1]) + 4 * blur, FINE).to(angle)
+    behind, _ = _sample(background, disc, angle, 1 + fine / radius)
+    facing = (1 - (1 + fine / radius) ** 2).clamp_min(0).sqrt()[..., None]
+    contrast = light[:, None, 0] + facing * light[:, None, 1] - behind
+    shift, spread = torch.zeros_like(angle), torch.full_like(angle, blur**2)
+    for _ in range(STEPS):
+        model, J = _rim_model(contrast, fine, zone, shift, blur)
+        residual = seen - empty - model
+        normal = (J[:, :, None] * J[:, None] / variance[:, None, None]).sum((-2, -1))
+        pull = (J * (residual / variance)[:, None]).sum((-2, -1))
+        normal = normal + torch.tensor([1e-9, SPREAD_PRIOR]).to(normal).diag()
+        step = torch.linalg.solve(normal, pull[..., None])[..., 0]
+        shift = (shift + step[:, 0].clamp(-1, 1)).clamp(-reach, reach)
+        spread = blur**2 + step[:, 1]
+    chi2 = ((residual - J[:, 1] * step[:, 1, None, None]) ** 2 / variance).mean((1, 2))
+    # a blurred disc has its half height a little inside its rim
+    shift = shift + blur**2 / (2 * radius[:, 0])
+    information = normal[:, 0, 0]
+    outside = _alpha_outside(residual, contrast, variance, zone > reach)
     usable = (
-        (information.sqrt().amin(1) > MIN_CONTRAST)
-        & _is_free_outside(alpha[:, ~mixed], information[:, ~mixed])
+        (information > MIN_INFORMATION)
+        & (outside < MAX_OUTSIDE)
+        & (shift.abs() < reach)
         & ~(is_clipped | is_empty_clipped).any(1)
     )
-    shift, spread = _moments(alpha[:, mixed], offset[mixed], radius)
-    # the light extended to the rim is about as uncertain as one sample, and common to all of them
-    shift_variance = CORRELATION * STEP**2 * (1 / information[:, mixed]).sum(1)
-    shift_variance = shift_variance + (reach**2 / information[:, mixed]).mean(1)
-    usable &= shift.abs() < reach
+    # a pattern's edge in the zone shows as misfit, and then little is known about the rim
+    rim_variance = (1 / information.clamp_min(1e-9)) * (chi2 / USUAL_MISFIT).clamp_min(1) ** 4
+    # where the pattern's edge hid just inside the rim, the search saw it and the fit did not
+    searched = search_rim(image, background, noise, disc, reach)
+    is_believed = usable & ((shift - searched.shift).abs() < AGREEMENT)
+    is_believed &= rim_variance < searched.variance
     return Rim(
         angle=angle,
-        shift=shift,
-        variance=torch.where(usable, shift_variance, torch.inf),
-        spread=spread,
+        shift=torch.where(is_believed, shift, searched.shift),
+        variance=torch.where(
+            is_believed, rim_variance, torch.where(usable, searched.variance, torch.inf)
+        ),
+        spread=torch.where(is_believed, spread, torch.nan),
     )
 
 
-def _moments(alpha: Tensor, offset: Tensor, radius: Tensor) -> tuple[Tensor, Tensor]:
-    """Give the rim's offset and the variance of its transition, [D], from alpha [D, S]."""
-    weight = torch.full_like(offset, STEP)
-    weight[[0, -1]] = STEP / 2  # trapezoid
-    start = radius[:, 0] + offset[0]
-    area = (weight * alpha * (radius + offset)).sum(1)
-    shift = (start**2 + 2 * area).clamp_min(0).sqrt() - radius[:, 0]
-    # of a step at `shift` the integral of 2 (u - shift) alpha is -(shift - start)^2; blur adds its
-    # variance
-    moment = 2 * (weight * alpha * (offset - shift[:, None])).sum(1)
-    return shift, moment + (shift - offset[0]) ** 2
+def _rim_model(
+    contrast: Tensor, fine: Tensor, zone: Tensor, shift: Tensor, blur: float
+) -> tuple[Tensor, Tensor]:
+    """Give what the ball adds at places of the zone [D, S, 3], and its derivatives [D, 2, S, 3].
+
+    The derivatives are in the rim's shift and in the variance of the blur there.
+
+    Args:
+        contrast: ball minus background on the fine places [D, U, 3].
+        fine: places, px [U].
+        zone: places seen, px [S].
+        shift: of the rim, px [D].
+        blur: px.
+    """
+    kernel = torch.exp(-0.5 * ((zone[:, None] - fine) / blur) ** 2)
+    kernel = kernel / kernel.sum(1, keepdim=True)
+    is_ball = ((shift[:, None] - fine) / FINE + 0.5).clamp(0, 1)
+    model = torch.einsum("su,duc->dsc", kernel, is_ball[..., None] * contrast)
+    at = ((shift - fine[0]) / FINE).round().long().clamp(0, len(fine) - 1)
+    z = (zone - shift[:, None]) / blur
+    density = torch.exp(-0.5 * z**2) / (math.sqrt(math.tau) * blur)
+    J_shift = density[..., None] * contrast[torch.arange(len(shift)), at][:, None]
+    return model, torch.stack([J_shift, J_shift * z[..., None] / (2 * blur)], dim=1)
 
 
-def _is_free_outside(alpha: Tensor, information: Tensor) -> Tensor:
-    """Tell where nothing but background is seen beyond the rim, [D]."""
-    mean = alpha.mean(1).abs()
-    std = (CORRELATION / information).mean(1).div(alpha.shape[1]).sqrt()
-    return mean < MAX_OUTSIDE + 3 * std
+def _alpha_outside(residual: Tensor, contrast: Tensor, variance: Tensor, beyond: Tensor) -> Tensor:
+    """Give how much beyond the rim looks like ball, less three standard deviations, [D]."""
+    usual = contrast[:, contrast.shape[1] // 2][:, None]
+    information = (usual**2 / variance[:, beyond]).sum((1, 2)).clamp_min(1e-9)
+    alpha = (usual * residual[:, beyond] / variance[:, beyond]).sum((1, 2)) / information
+    return alpha.abs() - 3 / information.sqrt()
 
 
 def _variance(noise: NoiseModel, level: Tensor, share: float) -> Tensor:

@@ -32,8 +32,9 @@ MIN_COVERAGE = 0.6
 SECTORS = 72
 MAX_REST = 0.5
 """Share of the disc that other things may cover; shadows do not count."""
-STREAK_RATIO = 1.2
-"""Length over width of a filled region from which it is the trail of a moving ball."""
+STREAK_RATIO, TRAIL_REST = 1.2, 0.1
+"""Length over width of a filled region from which it is the trail of a moving ball, and the share
+of a disc that it must cover beside it."""
 
 Mask = NDArray[np.uint8]
 Map = NDArray[np.float32]
@@ -67,10 +68,20 @@ def find_rough_disc(image: LinearImage, background: LinearImage, noise: NoiseMod
     differs = _differing(seen, empty, noise, factor, 1 + 1 / background.frames)
     regions = _regions(differs)
     circle, coverage = _best_circle(_outline(regions))
-    if coverage < MIN_COVERAGE:
-        raise CalibrationError(_why_no_disc(regions))
     is_shadow = (seen < empty).all(0)
-    _check_alone((regions > 0) & ~is_shadow, circle)
+    rest = _share_outside((regions > 0) & ~is_shadow, circle)
+    if rest > TRAIL_REST or coverage < MIN_COVERAGE:
+        _check_no_trail(regions)
+    if coverage < MIN_COVERAGE:
+        raise CalibrationError(
+            "no disc found: what differs from the background is not round; show the whole ball, "
+            "resting, and take away hands and other things"
+        )
+    if rest > MAX_REST:
+        raise CalibrationError(
+            "more than a ball differs from the background: besides its disc something covers "
+            f"{rest:.1f} times its area; take away hands and other things, and show one ball"
+        )
     return Circle(
         x=(circle.x + 0.5) * factor - 0.5,
         y=(circle.y + 0.5) * factor - 0.5,
@@ -106,8 +117,8 @@ def _differing(seen: Map, empty: Map, noise: NoiseModel, factor: int, share: flo
     found = significance > MIN_SIGNIFICANCE
     if np.count_nonzero(found) < MIN_AREA:
         raise CalibrationError(
-            "no ball found: nothing in the picture differs from the background (best significance "
-            f"{float(significance.max()):.1f}, {MIN_SIGNIFICANCE:g} needed); check both pictures"
+            f"no ball found: only {np.count_nonzero(found)} places in the picture differ from the "
+            "background; check that one shows the ball and the other does not"
         )
     strong = float(np.quantile(size[found], 0.9))
     return np.asarray(found & (size > MIN_SHARE * strong), dtype=np.uint8)
@@ -184,31 +195,23 @@ def _through(corners: NDArray[np.float64]) -> tuple[Points, Points]:
     return first + offset, np.hypot(offset[:, 0], offset[:, 1])
 
 
-def _check_alone(others: NDArray[np.bool_], circle: Circle) -> None:
-    """Raise `CalibrationError` where much besides the disc differs from the background."""
+def _share_outside(others: NDArray[np.bool_], circle: Circle) -> float:
+    """Give the area outside a circle, as a share of its own."""
     y, x = np.nonzero(others)
     outside = np.hypot(x - circle.x, y - circle.y) > 1.15 * circle.radius + 2
-    share = float(np.count_nonzero(outside)) / (math.pi * circle.radius**2)
-    if share > MAX_REST:
-        raise CalibrationError(
-            "more than a ball differs from the background: besides its disc something covers "
-            f"{share:.1f} times its area; take away hands and other things, and show one ball"
-        )
+    return float(np.count_nonzero(outside)) / (math.pi * circle.radius**2)
 
 
-def _why_no_disc(regions: Mask) -> str:
+def _check_no_trail(regions: Mask) -> None:
+    """Raise `CalibrationError` where the largest region is the trail of a moving ball."""
     lines, _ = cv2.findContours(regions, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     largest = max(lines, key=cv2.contourArea)
     _, sides, _ = cv2.minAreaRect(largest)
     length, width = max(sides) + 1, min(sides) + 1
-    # a round trail of constant width fills its box but for the corners
-    is_filled = cv2.contourArea(cv2.convexHull(largest)) < 1.15 * cv2.contourArea(largest)
+    # a round trail of constant width fills its hull; what a stick or a hand adds does not
+    is_filled = cv2.contourArea(cv2.convexHull(largest)) < 1.1 * cv2.contourArea(largest)
     if length > STREAK_RATIO * width and is_filled:
-        return (
+        raise CalibrationError(
             f"the ball moved: what differs from the background is {length / width:.1f} times as "
             "long as wide; let it rest, or expose for a shorter time"
         )
-    return (
-        "no disc found: what differs from the background is not round; show the whole ball, "
-        "resting, and take away hands and other things"
-    )
