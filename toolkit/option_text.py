@@ -1,13 +1,40 @@
 """Values written as text on the command line, read by the type of the field they are for."""
 
 import math
+from collections.abc import Iterable
 from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin
 
 from toolkit.errors import ConfigError
 
+Colour = tuple[float, float, float]
+
 WORDS = {"true": True, "yes": True, "on": True, "1": True}
 WORDS |= {"false": False, "no": False, "off": False, "0": False}
+
+
+def parse_settings(words: Iterable[str], flag: str = "--set") -> dict[str, str]:
+    """Read FIELD=VALUE words; the last one of a field counts.
+
+    Raises:
+        ConfigError: naming `flag`, when a word has no equals sign.
+
+    Example:
+        >>> parse_settings(["gloss=0.3", "label=a=b"])
+        {'gloss': '0.3', 'label': 'a=b'}
+    """
+    settings = {}
+    for word in words:
+        name, equals, value = word.partition("=")
+        if not equals:
+            raise ConfigError(f"{flag} is '{word}'; FIELD=VALUE is needed")
+        settings[name] = value
+    return settings
+
+
+def parse_colours(texts: Iterable[str], flag: str = "--ball-colour") -> tuple[Colour, ...]:
+    """Read colours R,G,B, naming `flag` when one is none."""
+    return tuple(parse_option(text, Colour, flag) for text in texts)
 
 
 def parse_option(text: str, kind: Any, where: str) -> Any:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from toolkit.errors import BadOutputError, ConfigError, StreakError
+from toolkit.option_text import parse_colours, parse_option, parse_settings
 
 if TYPE_CHECKING:
     from toolkit.measurement import Measurement
@@ -86,8 +87,8 @@ def measure(
     exposure time position and direction are measured, but no speed.
     """
     _check_outputs(out, overlay, inputs=[shot])
-    options = _options(set_ or [])
-    colours = _colours(ball_colour or [])
+    options = parse_settings(set_ or [])
+    colours = parse_colours(ball_colour or [])
     corner_and_size = _roi(roi)
 
     from toolkit.report import summarise, write_overlay
@@ -149,23 +150,5 @@ def _check_outputs(out: Path | None, overlay: Path | None, inputs: Iterable[Path
         raise ConfigError(f"--out and --overlay are both {out}; choose two names")
 
 
-def _options(words: list[str]) -> dict[str, str]:
-    options = {}
-    for word in words:
-        name, equals, value = word.partition("=")
-        if not equals:
-            raise ConfigError(f"--set is '{word}'; FIELD=VALUE is needed")
-        options[name] = value
-    return options
-
-
-def _colours(texts: list[str]) -> list[tuple[float, float, float]]:
-    from toolkit.option_text import parse_option
-
-    return [parse_option(text, tuple[float, float, float], "--ball-colour") for text in texts]
-
-
 def _roi(text: str | None) -> tuple[int, int, int, int] | None:
-    from toolkit.option_text import parse_option
-
     return None if text is None else parse_option(text, tuple[int, int, int, int], "--roi")

@@ -143,3 +143,42 @@ def test_other_packages_commands_do_not_show_here(capsys):
     out = capsys.readouterr().out
     assert "calibrate" not in out
     assert "check" in out
+
+
+def test_check_prints_a_table(capsys):
+    assert run("check", "uniform", "--ball-colour", "0.2,0.6,0.2") == 0
+    out = capsys.readouterr().out
+    assert out.endswith("uniform: ran 24 of 24\n")
+    assert len(out.splitlines()) == 25
+
+
+def test_check_renders_the_ball_it_is_told_of(capsys):
+    green, behind = "colour=0.1,0.5,0.1", "0.5,0.3,0.3"
+    assert run("check", "uniform", "--set", green, "--background-colour", behind, "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["ran"], found["failed"], len(found["results"])) == (24, [], 24)
+    assert {result["status"] for result in found["results"]} == {"passed"}
+
+
+def test_a_failing_check_is_5(declare, capsys):
+    declare(SHINY, "shiny = :Shiny")
+    assert run("check", "shiny") == 5
+    out, err = capsys.readouterr()
+    assert "shiny: ran 24 of 24, " in out
+    assert err.startswith("toolkit: estimator 'shiny' of shop 1.5 fails ")
+    assert "observe-shapes, observe-finite" in err
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["--set", "gloss"], "--set is 'gloss'; FIELD=VALUE is needed"),
+        (["--ball-colour", "red"], "--ball-colour is 'red'"),
+        (["--background-colour", "1,2"], "--background-colour is '1,2'"),
+        (["--set", "gloss=1"], "has no field 'gloss'"),
+    ],
+)
+def test_wrong_words_of_check_are_2(words, reason, capsys):
+    assert run("check", "uniform", *words) == 2
+    assert reason in capsys.readouterr().err
