@@ -6,7 +6,15 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from toolkit import AlphaEstimator, Chord, ConfigError, LinearImage, NoiseModel, Observation
+from toolkit import (
+    AlphaEstimator,
+    Chord,
+    ConfigError,
+    LinearImage,
+    NoiseModel,
+    Observation,
+    observe_colours,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,12 +42,7 @@ class Uniform(AlphaEstimator):
         self, image: LinearImage, background: LinearImage, noise: NoiseModel
     ) -> Observation:
         """Hand on the colours as they are; behind a mosaic, those measured and no others."""
-        measured = image.measured()
-        variance = (
-            noise.variance(image.rgb, measured)
-            + noise.variance(background.rgb, measured) / background.frames
-        )
-        return Observation(signal=image.rgb, ground=background.rgb, variance=variance)
+        return observe_colours(image, background, noise)
 
     def foreground(self, chord: Chord, appearance: Tensor | None) -> Tensor:
         """Give the one colour on every chord."""

@@ -33,9 +33,11 @@ _HOME = {
     "load_shot": "toolkit.shot",
     "measure": "toolkit.pipeline",
     "measure_shot": "toolkit.shot",
+    "observe_colours": "toolkit.alpha",
     "read_background": "toolkit.imaging",
     "read_camera": "toolkit.camera_file",
     "read_image": "toolkit.imaging",
+    "select_estimator": "toolkit.selection",
 }
 
 __all__ = sorted(_HOME)

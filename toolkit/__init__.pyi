@@ -1,6 +1,7 @@
 from toolkit.alpha import AlphaEstimator as AlphaEstimator
 from toolkit.alpha import Chord as Chord
 from toolkit.alpha import Observation as Observation
+from toolkit.alpha import observe_colours as observe_colours
 from toolkit.ball import Disc as Disc
 from toolkit.ball import SharpBall as SharpBall
 from toolkit.camera import Camera as Camera
@@ -20,6 +21,7 @@ from toolkit.imaging import read_image as read_image
 from toolkit.measurement import Measurement as Measurement
 from toolkit.pipeline import measure as measure
 from toolkit.report import draw_overlay as draw_overlay
+from toolkit.selection import select_estimator as select_estimator
 from toolkit.shot import ShotInputs as ShotInputs
 from toolkit.shot import load_shot as load_shot
 from toolkit.shot import measure_shot as measure_shot

@@ -142,6 +142,16 @@ class AlphaEstimator(ABC):
         return signal / information, 1 / information
 
 
+def observe_colours(image: LinearImage, background: LinearImage, noise: NoiseModel) -> Observation:
+    """Observe the colours as they are; behind a mosaic, those measured and no others."""
+    measured = image.measured()
+    variance = (
+        noise.variance(image.rgb, measured)
+        + noise.variance(background.rgb, measured) / background.frames
+    )
+    return Observation(signal=image.rgb, ground=background.rgb, variance=variance)
+
+
 @dataclass(frozen=True, kw_only=True)
 class _Settled(AlphaEstimator):
     """An estimator whose unknowns have been found."""

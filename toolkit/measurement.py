@@ -125,6 +125,16 @@ class FitSummary:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Candidate:
+    """An estimator that was tried, and how well it predicted pixels it was not shown."""
+
+    estimator: str
+    score: float | None = None  # mean squared error over noise, 1 is perfect; None where it failed
+    edge_std_px: float | None = None  # of one profile, as fitted
+    reason: str | None = None  # why it failed
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Caution:
     """Something the reader of a result must know; `code` is for programs, `message` for people."""
 
@@ -165,6 +175,7 @@ class Measurement:
     budget: Budget | None = None
     bound: Bound | None = None
     fit: FitSummary | None = None
+    candidates: tuple[Candidate, ...] = ()  # tried where the estimator was to be chosen, best first
     provenance: Mapping[str, str] = field(default_factory=dict)  # measured, assumed or inferred
     warnings: tuple[Caution, ...] = ()
     timing_s: Mapping[str, float] = field(default_factory=dict)

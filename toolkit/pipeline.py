@@ -163,7 +163,7 @@ def fit_streak(view: StreakView, estimator: AlphaEstimator) -> ProfileFit:
         known = settled(estimator, fit)
     for _ in range(REFINEMENTS):
         fit = refine_profiles(profiles, known, fit, smooth_parameters(fit)[None], skew)
-    fit = widen_for_correlation(fit)
+    fit = widen_for_correlation(_widen_for_misfit(fit))
     return replace(fit, chi2_per_dof=fit.chi2_per_dof * excess)
 
 
@@ -240,6 +240,12 @@ def _median_chi2(fit: ProfileFit) -> float:
     """Median over the profiles between the ends, whether or not their search settled."""
     usable = (fit.flags[0] & ~int(ProfileFlag.NOT_CONVERGED)) == 0
     return float(fit.chi2_per_dof[0][usable].median()) if bool(usable.any()) else 1.0
+
+
+def _widen_for_misfit(fit: ProfileFit) -> ProfileFit:
+    """Take the noise for as large as what the profiles miss, where that is more."""
+    remaining = max(float(fit.chi2_per_dof[0][fit.good[0]].median()), 1.0)
+    return replace(fit, covariance=fit.covariance * remaining)
 
 
 def _mark_ends(fit: ProfileFit) -> ProfileFit:

@@ -27,7 +27,7 @@ DISAGREEMENT = 0.02
 """Relative difference between the speeds from opacity and ends from which a warning is due."""
 UNTOLD = 0.05
 """Relative standard deviation of the opacity that a colour found leaves, from which it is said."""
-WARNED_MISFIT = 3.0
+WARNED_MISFIT = 1.5
 """Chi-square per degree of freedom of the profiles beyond which a warning is due."""
 
 

@@ -9,17 +9,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from toolkit import registry
 from toolkit.alpha import AlphaEstimator
 from toolkit.camera import Camera
 from toolkit.camera_file import fit_camera, read_camera
+from toolkit.candidates import AUTO, Candidates, make_candidates, what_is_needed
 from toolkit.errors import ConfigError, ImageError, MismatchError
 from toolkit.files import sha256
 from toolkit.imaging import read_background, read_image
 from toolkit.known_ball import know_ball
-from toolkit.measurement import Caution, InputFile, Inputs, Measurement
+from toolkit.measurement import Candidate, Caution, InputFile, Inputs, Measurement
 from toolkit.pipeline import measure
 from toolkit.rig import Colour, Rig, read_rig
+from toolkit.selection import select_estimator
 from toolkit.types import LinearImage
 
 DEFAULT_ESTIMATOR = "uniform"
@@ -43,13 +44,18 @@ class ShotInputs:
     ball_radius_std: float  # metre
     exposure: float | None  # second
     exposure_std: float  # second
-    estimator: AlphaEstimator
-    estimator_name: str
+    estimator_name: str  # or "auto", which tries all candidates
+    candidates: Candidates
     roi: Roi | None  # left, top, width, height px
     inputs: Inputs
     files: tuple[Path, ...]  # all that was read: no result may replace one of them
     provenance: Mapping[str, str]  # "measured" where somebody or the file says so, else "assumed"
     read_time: float  # second it took to read the files
+
+    @property
+    def estimator(self) -> AlphaEstimator | None:
+        """The estimator named; None where it is to be chosen."""
+        return None if self.estimator_name == AUTO else self.candidates.ready[0][1]
 
 
 def load_shot(
@@ -128,6 +134,12 @@ def measure_shot(shot: ShotInputs) -> Measurement:
         StreakError: when no trustworthy measurement is possible; the text says why.
     """
     start = time.perf_counter()
+    (name, estimator), tried = shot.candidates.ready[0], ()
+    if shot.estimator_name == AUTO:
+        chosen = select_estimator(shot.image, shot.background, shot.candidates.ready, shot.roi)
+        name, estimator = chosen.name, chosen.estimator
+        tried = (*chosen.candidates, *shot.candidates.unsuited)
+    selected = time.perf_counter()
     measurement = measure(
         shot.image,
         shot.background,
@@ -136,16 +148,19 @@ def measure_shot(shot: ShotInputs) -> Measurement:
         ball_radius_std=shot.ball_radius_std,
         exposure=shot.exposure,
         exposure_std=shot.exposure_std,
-        estimator=shot.estimator,
+        estimator=estimator,
         roi=shot.roi,
     )
-    seconds = {"read": shot.read_time, "measure": time.perf_counter() - start}
+    seconds = {"read": shot.read_time, "measure": time.perf_counter() - selected}
+    if tried:
+        seconds["select"] = selected - start
     return replace(
         measurement,
         inputs=shot.inputs,
-        estimator=shot.estimator_name,
+        estimator=name,
+        candidates=tried,
         provenance={**measurement.provenance, **shot.provenance},
-        warnings=(*_cautions(shot), *measurement.warnings),
+        warnings=(*_cautions(shot), *_choice(tried), *measurement.warnings),
         timing_s={**measurement.timing_s, **seconds},
     )
 
@@ -170,9 +185,8 @@ class _Plan:
     rig: Path | None
     camera: Path
     ball_radius: float
-    estimator: AlphaEstimator
     estimator_name: str
-    ball_files: tuple[Path, ...]
+    candidates: Candidates
     settings: Rig
 
     @property
@@ -182,7 +196,7 @@ class _Plan:
         curve = None if response is None else Path(response)
         own = (self.shot, self.rig, self.camera, curve if curve and curve.is_file() else None)
         named = (path for path in own if path is not None)
-        return (*named, *self.settings.background, *self.ball_files)
+        return (*named, *self.settings.background, *self.candidates.files)
 
 
 def _find_rig(shot: Path, rig: Path | None) -> Path | None:
@@ -200,14 +214,7 @@ def _plan(shot: Path, rig: Path | None, settings: Rig) -> _Plan:
     ball = know_ball(settings)
     radius = ball.radius
     name = settings.estimator or DEFAULT_ESTIMATOR
-    fields = registry.load(name).option_names()
-    known = dict.fromkeys([*ball.names, *settings.options])
-    needed = registry.missing_fields(registry.load(name), known)
-    if len(settings.ball_colours) > 1 and "colour" in fields and "colours" not in fields:
-        raise ConfigError(
-            f"{len(settings.ball_colours)} ball colours are given, but estimator '{name}' is for "
-            "a ball of one; give one, or choose another --estimator"
-        )
+    needed = what_is_needed(name, ball, settings.options)
     missing = [
         *([] if camera else [f"a camera: --camera F, or {CAMERA_NAME} beside the shot"]),
         *([] if settings.background else ["a picture without the ball: --background F"]),
@@ -217,15 +224,13 @@ def _plan(shot: Path, rig: Path | None, settings: Rig) -> _Plan:
     if camera is None or radius is None or missing:
         raise ConfigError(f"{shot} cannot be measured without {'; and '.join(missing)}")
     _check_numbers(radius, settings)
-    estimator = registry.build(name, given=ball.facts(fields), options=settings.options)
     return _Plan(
         shot=shot,
         rig=rig,
         camera=camera,
         ball_radius=float(radius),
-        estimator=estimator,
         estimator_name=name,
-        ball_files=ball.files(fields),
+        candidates=make_candidates(name, ball, settings.options),
         settings=settings,
     )
 
@@ -246,8 +251,8 @@ def _read_shot(plan: _Plan, roi: Roi | None, frame: int | None) -> ShotInputs:
         ball_radius_std=float(settings.ball_radius_std or 0.0),
         exposure=_exposure(settings, image),
         exposure_std=float(settings.exposure_std or 0.0),
-        estimator=plan.estimator,
         estimator_name=plan.estimator_name,
+        candidates=plan.candidates,
         roi=roi,
         inputs=Inputs(
             shot=_fingerprint(plan.shot),
@@ -326,6 +331,24 @@ def _cautions(shot: ShotInputs) -> tuple[Caution, ...]:
         "use RAW, or name it with --response"
     )
     return (Caution(code="response_assumed", message=text),)
+
+
+def _choice(tried: tuple[Candidate, ...]) -> tuple[Caution, ...]:
+    """Say which estimator was chosen, and how the others did."""
+    if not tried:
+        return ()
+    best, *others = tried
+    rest = "; ".join(
+        f"{other.estimator} {other.reason}"
+        if other.score is None
+        else f"{other.estimator} {other.score:.2f}"
+        for other in others
+    )
+    text = (
+        f"estimator '{best.estimator}' was chosen: it misses pixels it was not shown by "
+        f"{best.score or 0:.2f} times their noise variance; the others: {rest or 'none'}"
+    )
+    return (Caution(code="estimator-chosen", message=text),)
 
 
 def _fingerprint(path: Path) -> InputFile:

@@ -7,12 +7,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from toolkit.alpha import AlphaEstimator, Observation
+from toolkit.alpha import AlphaEstimator, Observation, observe_colours
 from toolkit.background import brightness_drift, estimate_noise, scale_background
 from toolkit.errors import StreakError
 from toolkit.scene_match import check_light, check_same_scene
 from toolkit.streak import ROI, find_streak
-from toolkit.types import LinearImage, Streak
+from toolkit.types import LinearImage, NoiseModel, Streak
 
 DRIFT = 0.003
 """Relative change of the light since the background beyond which the background follows it."""
@@ -30,9 +30,16 @@ class StreakView:
 
     streak: Streak
     observation: Observation  # on the window
+    shot: LinearImage  # the window itself
+    background: LinearImage  # in the shot's light
+    noise: NoiseModel
     clipped: Tensor  # [1, 1, h, w] bool, on the window
     corner: tuple[int, int]  # of the window in the picture, (x, y) px
     drift: Tensor  # [3] light of the shot over that of the background; 1 where it was left alone
+
+    def colours(self) -> Observation:
+        """Give what was observed in R,G,B, whatever the estimator looks at."""
+        return observe_colours(self.shot, self.background, self.noise)
 
 
 def observe_streak(
@@ -75,6 +82,9 @@ def observe_streak(
     return StreakView(
         streak=streak,
         observation=estimator.observe(shot, ground, noise),
+        shot=shot,
+        background=ground,
+        noise=noise,
         clipped=shot.clipped | ground.clipped,
         corner=(left, top),
         drift=drift,

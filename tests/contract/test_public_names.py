@@ -10,7 +10,7 @@ NAMES = """
 AlphaEstimator BadOutputError CalibrationError Camera Chord ConfigError Disc EnvironmentFault
 ImageError LinearImage Measurement MismatchError NoiseModel Observation PluginError ProfileFlag
 ShapeError SharpBall ShotInputs StreakError ToolkitError draw_overlay load_shot measure measure_shot
-read_background read_camera read_image
+observe_colours read_background read_camera read_image select_estimator
 """.split()
 
 
