@@ -55,23 +55,20 @@ class KnownShading(AlphaEstimator):
 
     def foreground(self, chord: Chord, appearance: Tensor | None) -> Tensor:
         """Give the mean colour along each chord, or along the part between start and stop."""
-        return self._value_and_slope(chord)[0]
+        if _is_whole(chord):
+            return self.foreground_and_slope(chord)[0]
+        direction = chord.direction.to(chord.offset)
+        return self.table.part(chord.offset, direction, chord.start, chord.stop)
 
     def foreground_and_slope(
         self, chord: Chord, appearance: Tensor | None = None
     ) -> tuple[Tensor, Tensor]:
         """Give the same and its derivative in the chord's offset, in closed form."""
-        return self._value_and_slope(chord)
-
-    def _value_and_slope(self, chord: Chord) -> tuple[Tensor, Tensor]:
         direction = chord.direction.to(chord.offset)
-        if _is(chord.start, -1) and _is(chord.stop, 1):
+        if _is_whole(chord):
             return self.table.whole(chord.offset, direction)
-        start, stop = (
-            torch.as_tensor(end, dtype=chord.offset.dtype, device=chord.offset.device)
-            for end in (chord.start, chord.stop)
-        )
-        return self.table.part(chord.offset, direction, start, stop)
+        slope = self.table.slope_of_part(chord.offset, direction, chord.start, chord.stop)
+        return self.foreground(chord, appearance), slope
 
     @cached_property
     def table(self) -> RadonTable:
@@ -79,5 +76,7 @@ class KnownShading(AlphaEstimator):
         return RadonTable.of(self.ball)
 
 
-def _is(end: float | Tensor, rim: float) -> bool:
-    return not isinstance(end, Tensor) and end == rim
+def _is_whole(chord: Chord) -> bool:
+    if isinstance(chord.start, Tensor) or isinstance(chord.stop, Tensor):
+        return False
+    return chord.start == -1 and chord.stop == 1

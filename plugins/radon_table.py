@@ -76,9 +76,9 @@ class RadonTable:
         return value.mT.reshape(*offset.shape, 3), slope.mT.reshape(*offset.shape, 3)
 
     def part(
-        self, offset: Tensor, direction: Tensor, start: Tensor, stop: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Give the mean over parts of chords and its slope in the offset, as `whole` does.
+        self, offset: Tensor, direction: Tensor, start: float | Tensor, stop: float | Tensor
+    ) -> Tensor:
+        """Give the mean over parts of chords [..., S, 3].
 
         Args:
             offset: [..., S].
@@ -86,35 +86,65 @@ class RadonTable:
             start: where the part begins, -1 the trailing rim, 1 the leading one; broadcast.
             stop: where it ends; the same as start gives the colour of that point.
         """
-        half = ((stop - start) / 2).abs().clamp(SHORTEST, 1)
-        middle = torch.minimum(torch.maximum((start + stop) / 2, half - 1), 1 - half)
-        begun = self._until(middle - half, offset, direction)
-        ended = self._until(middle + half, offset, direction)
-        value, slope = ((ended - begun) / (2 * half[..., None, None])).unbind(-2)
-        return value, slope
+        if _ends_at_rim(start, stop):
+            return self.part(-offset, direction + math.pi, -1.0, -start)
+        row, x, _ = _locate(offset, OFFSETS)
+        return self._over_part(row, _weights(x), direction, start, stop)
 
-    def _until(self, place: Tensor, offset: Tensor, direction: Tensor) -> Tensor:
-        """Integrate from the trailing rim to a place: value and slope in the offset [..., S, 2, 3].
+    def slope_of_part(
+        self, offset: Tensor, direction: Tensor, start: float | Tensor, stop: float | Tensor
+    ) -> Tensor:
+        """Give the slope of `part` in the offset [..., S, 3]."""
+        if _ends_at_rim(start, stop):
+            return -self.slope_of_part(-offset, direction + math.pi, -1.0, -start)
+        row, x, per_offset = _locate(offset, OFFSETS)
+        across = _slopes(x) * per_offset[..., None]
+        return self._over_part(row, across, direction, start, stop)
+
+    def _over_part(
+        self,
+        row: Tensor,
+        across: Tensor,
+        direction: Tensor,
+        start: float | Tensor,
+        stop: float | Tensor,
+    ) -> Tensor:
+        """Average over parts with given weights of the four offsets from `row` on [..., S, 4]."""
+        begin, end = (torch.as_tensor(place).to(across) for place in (start, stop))
+        half = ((end - begin) / 2).abs().clamp(SHORTEST, 1)
+        middle = torch.minimum(torch.maximum((begin + end) / 2, half - 1), 1 - half)
+        total = self._until(middle + half, row, across, direction)
+        if isinstance(start, Tensor) or start > -1:
+            total = total - self._until(middle - half, row, across, direction)
+        return total / (2 * half[..., None])
+
+    def _until(self, place: Tensor, row: Tensor, across: Tensor, direction: Tensor) -> Tensor:
+        """Integrate from the trailing rim to a place [..., S, 3].
 
         One direction for all is settled first; of several, each is found between its neighbours.
         """
-        table = self.cumulative.to(offset)
+        table = self.cumulative.to(across)
         index, share = _neighbouring_directions(direction)
         if direction.numel() == 1:
             table = _among_directions(table, direction.flatten())
             index, share = index.new_zeros(1, 1), share.new_ones(1, 1)
-        (row, x, per_offset), (column, y, _) = _locate(offset, OFFSETS), _locate(place, PLACES)
-        across = torch.stack([_weights(x), _slopes(x) * per_offset[..., None]], dim=-2)
-        weights = (across[..., None] * _weights(y)[..., None, None, :]).flatten(-2)
-        step = torch.arange(4, device=offset.device)
+        column, y, _ = _locate(place, PLACES)
+        weights = (across[..., None] * _weights(y)[..., None, :]).flatten(-2)
+        step = torch.arange(4, device=across.device)
         corner = row * (PLACES + 2) + column
         cell = corner[..., None] + (step[:, None] * (PLACES + 2) + step).flatten()
         colours, size = table.flatten(0, 2), (OFFSETS + 2) * (PLACES + 2)
         terms = [
-            share[..., k, None, None] * (weights @ colours[cell + size * index[..., k, None]])
+            share[..., k, None, None]
+            * (weights[..., None, :] @ colours[cell + size * index[..., k, None]])
             for k in range(index.shape[-1])
         ]
-        return torch.stack(terms).sum(0)
+        return torch.stack(terms).sum(0)[..., 0, :]
+
+
+def _ends_at_rim(start: float | Tensor, stop: float | Tensor) -> bool:
+    """Whether only the start cuts the chord: backwards, by the opposite motion, half the work."""
+    return not isinstance(stop, Tensor) and stop >= 1 and (isinstance(start, Tensor) or start > -1)
 
 
 def _weights(x: Tensor) -> Tensor:

@@ -73,6 +73,26 @@ def test_parts_of_chords_are_averages_too(estimator):
     assert float((found - truth).pow(2).mean().sqrt()) < 0.001
 
 
+@pytest.mark.parametrize("is_start", [True, False])
+def test_the_ends_of_a_streak_show_chords_up_to_a_rim(estimator, is_start):
+    offset, direction, cut, _ = random_chords()
+    rim = torch.ones_like(cut)
+    ends = (cut, rim) if is_start else (-rim, cut)
+    given = {"start": cut} if is_start else {"stop": cut}
+    truth = by_quadrature(SHINY, offset, direction, *ends)
+    value, slope = estimator.foreground_and_slope(
+        Chord(offset=offset, direction=direction, **given)
+    )
+    # a short part counts as little as it covers of the background
+    error = (value - truth) * ((ends[1] - ends[0]) / 2)[..., None]
+    assert float(error.abs().max()) < 0.002
+    assert float((value - truth).pow(2).mean().sqrt()) < 0.001
+    general = Chord(offset=offset, direction=direction, start=ends[0], stop=ends[1])
+    same_value, same_slope = estimator.foreground_and_slope(general)
+    assert torch.allclose(value, same_value, atol=1e-5)
+    assert torch.allclose(slope, same_slope, atol=1e-4)
+
+
 def test_one_direction_for_many_pixels_gives_the_same(estimator):
     offset, _, start, stop = (values[:, 0] for values in random_chords())
     direction = torch.tensor([0.7], dtype=torch.float64)
