@@ -7,8 +7,16 @@ import torch
 from torch import Tensor
 
 from plugins.radon_table import RadonTable
-from toolkit import AlphaEstimator, Chord, ConfigError, LinearImage, NoiseModel, Observation
-from toolkit.ball import SharpBall
+from toolkit import (
+    AlphaEstimator,
+    Chord,
+    ConfigError,
+    LinearImage,
+    NoiseModel,
+    Observation,
+    SharpBall,
+    observe_colours,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,12 +54,7 @@ class KnownShading(AlphaEstimator):
         self, image: LinearImage, background: LinearImage, noise: NoiseModel
     ) -> Observation:
         """Hand on the colours as they are; behind a mosaic, those measured and no others."""
-        measured = image.measured()
-        variance = (
-            noise.variance(image.rgb, measured)
-            + noise.variance(background.rgb, measured) / background.frames
-        )
-        return Observation(signal=image.rgb, ground=background.rgb, variance=variance)
+        return observe_colours(image, background, noise)
 
     def foreground(self, chord: Chord, appearance: Tensor | None) -> Tensor:
         """Give the mean colour along each chord, or along the part between start and stop."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from toolkit.ball import SharpBall
+from toolkit import SharpBall
 
 DIRECTIONS = 64
 """Over the whole circle; even, since opposite ones share their chords."""
