@@ -12,6 +12,10 @@ random; balls of too little contrast are drawn anew.
 Patterned balls are lemon and red: a background is measured by its distance n.B from the plane
 through black and both pigments, and grey lies 0.27 (0.2 at least) from theirs. A white pigment, or
 a pair such as orange and blue whose mixtures hold grey, would put the background into the plane.
+Lemon and red differ in green alone, so that `uniform` errs little where they are evenly lit.
+
+The lamp stays while the ball crosses up to 14 degrees of the view, so that its shade shifts on the
+disc by as much: known shading, which holds it fixed, is tested with that error in it.
 
     python benchmarks/ball_kinds.py [--shots N] [--kind lambert stripes] [--seed N]
 
