@@ -39,6 +39,8 @@ MAX_GAP = 0.4
 """Share of the outline that may be missing in one piece."""
 OUTLIER = 3.0
 """Standard deviations from the ellipse beyond which a direction does not count."""
+NEAR, NEAR_SHARE = 0.5, 0.02
+"""px, and share of the radius, beyond which it does not either, however much all scatter."""
 FLOOR = 0.1
 """px, within which the rim of a real ball follows an ellipse."""
 MAX_MOVE, MAX_MOVE_SHARE = 3.0, 0.08
@@ -171,7 +173,8 @@ def _fit(
             blur = min(max(usual, LEAST_BLUR), MOST_BLUR * disc.semi_axes[1])
         if movement < SETTLED:
             break
-    return disc, rim, weight > 0
+    near = rim.shift.abs() < NEAR + NEAR_SHARE * disc.semi_axes[1]
+    return disc, rim, (weight > 0) & near
 
 
 def _follow(disc: Disc, rim: Rim) -> tuple[Disc, float, Tensor]:

@@ -70,6 +70,8 @@ def find_rough_disc(image: LinearImage, background: LinearImage, noise: NoiseMod
     circle, coverage = _best_circle(_outline(regions))
     is_shadow = (seen < empty).all(0)
     rest = _share_outside((regions > 0) & ~is_shadow, circle)
+    if coverage < MIN_COVERAGE:
+        _check_not_cut(regions)
     if rest > TRAIL_REST or coverage < MIN_COVERAGE:
         _check_no_trail(regions)
     if coverage < MIN_COVERAGE:
@@ -200,6 +202,16 @@ def _share_outside(others: NDArray[np.bool_], circle: Circle) -> float:
     y, x = np.nonzero(others)
     outside = np.hypot(x - circle.x, y - circle.y) > 1.15 * circle.radius + 2
     return float(np.count_nonzero(outside)) / (math.pi * circle.radius**2)
+
+
+def _check_not_cut(regions: Mask) -> None:
+    """Raise `CalibrationError` where a region lies along the picture's border for a while."""
+    border = (regions[1], regions[-2], regions[:, 1], regions[:, -2])
+    if max(np.count_nonzero(line) for line in border) > MIN_AREA**0.5:
+        raise CalibrationError(
+            "no whole disc found: what differs from the background is cut by the picture's border; "
+            "show the whole ball, and nothing else"
+        )
 
 
 def _check_no_trail(regions: Mask) -> None:
