@@ -1,15 +1,24 @@
 import math
 import time
+from dataclasses import replace
 
 import pytest
 import torch
 
 from plugins.known_shading import KnownShading
 from plugins.radon_table import DIRECTIONS, RadonTable
-from toolkit import Chord, ConfigError, LinearImage, NoiseModel
+from plugins.uniform import Uniform
+from toolkit import Camera, Chord, ConfigError, LinearImage, NoiseModel, measure
 from toolkit.ball import Disc, SharpBall
 from toolkit.registry import build
-from toolkit.synthetic import LambertBall, Scene, StraightPath, flat_background, render_shot
+from toolkit.synthetic import (
+    LambertBall,
+    Scene,
+    StraightPath,
+    benchmark_scene,
+    flat_background,
+    render_shot,
+)
 
 DISC = Disc(centre=(40.0, 30.0), semi_axes=(20.0, 20.0), angle=0.0, std=0.05)
 SHINY = LambertBall(colour=(0.8, 0.4, 0.1), light=(-0.9, -0.3, -0.4), highlight=0.5)
@@ -216,8 +225,6 @@ def test_rendered_streaks_are_what_the_chords_foretell(heading):
 
 def streak(heading):
     """A distant shiny ball, 40 px wide, through a long lens: seen as a disc from afar."""
-    from toolkit import Camera
-
     radius, distance, travel = 0.05, 200.0, 0.3
     camera = Camera.centred(220, 220, 20 * math.hypot(0, distance) / radius)
     heading_x, heading_y = math.cos(heading), math.sin(heading)
@@ -233,6 +240,32 @@ def streak(heading):
         background=flat_background(220, 220, (0.3, 0.3, 0.3)),
         blur=0.3,
     )
+
+
+def test_a_shaded_ball_is_measured_where_one_colour_misses_it():
+    """At 200 R, so that the disc looks the same all along the path."""
+    scene = benchmark_scene(width_px=60, length_widths=4, distance_R=200, seed=1)
+    scene = replace(scene, appearance=SHINY)
+    shot = render_shot(scene, seed=1, step=0.4)
+    mean = SHINY(torch.tensor([[0.0, 0.0, -1.0]]), 0.0)[0].tolist()
+    errors = {}
+    for one in (KnownShading(ball=sharp(SHINY)), Uniform(colour=tuple(mean))):
+        found = measure(
+            shot.image,
+            shot.background,
+            camera=scene.camera,
+            ball_radius=scene.ball_radius,
+            exposure=scene.exposure,
+            estimator=one,
+        )
+        width = float(shot.position[2]) / found.position_m[2] - 1
+        errors[found.estimator] = (width, found.fit.chi2_per_dof)
+        if found.estimator == "known-shading":
+            assert abs(found.speed_m_s / float(shot.velocity.norm()) - 1) < 0.03
+    # 0.2 % of the width is 0.1 R of depth at 50 R
+    assert abs(errors["known-shading"][0]) < 0.002
+    assert errors["known-shading"][1] < 1.2
+    assert errors["uniform"][1] > 1.5 * errors["known-shading"][1]
 
 
 def test_the_table_is_made_once_and_quickly(estimator):
