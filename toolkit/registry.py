@@ -158,6 +158,13 @@ def name_of(estimator: "type[AlphaEstimator]") -> str:
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", estimator.__name__).lower()
 
 
+def name_problem(name: str) -> str | None:
+    """Say why an estimator cannot have this name, None where it can."""
+    if not NAME_PATTERN.fullmatch(name):
+        return f"its name does not match {NAME_PATTERN.pattern}"
+    return f"the name '{name}' is reserved" if name in RESERVED else None
+
+
 def called(estimator: "type[AlphaEstimator]") -> str:
     """Name an estimator for an error: its name, and whose it is where a package declares it.
 
@@ -226,10 +233,9 @@ def _owner(point: EntryPoint) -> str:
 
 
 def _name_problem(name: str, claims: int) -> str | None:
-    if not NAME_PATTERN.fullmatch(name):
-        return f"its name does not match {NAME_PATTERN.pattern}; its author must rename it"
-    if name in RESERVED:
-        return f"the name '{name}' is reserved; its author must rename it"
+    problem = name_problem(name)
+    if problem is not None:
+        return f"{problem}; its author must rename it"
     if claims > 1:
         return f"{claims} packages declare this name; uninstall all but one"
     return None

@@ -95,6 +95,9 @@ def test_wheel_holds_every_package_and_its_data(wheel):
     names = set(zipfile.ZipFile(wheel).namelist())
     wanted = {f"{package.replace('.', '/')}/__init__.py" for package in packages_on_disk()}
     wanted |= {f"{top}/py.typed" for top in ("toolkit", "calibration", "plugins")}
+    wanted |= {
+        path.relative_to(ROOT).as_posix() for path in (ROOT / "toolkit/templates").rglob("*.in")
+    }
     assert wanted | {"toolkit/__init__.pyi"} <= names
     tops = {name.partition("/")[0] for name in names}
     assert {top for top in tops if not top.endswith(".dist-info")} == {
