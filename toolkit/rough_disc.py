@@ -70,9 +70,13 @@ def find_rough_disc(image: LinearImage, background: LinearImage, noise: NoiseMod
     circle, coverage = _best_circle(_outline(regions))
     is_shadow = (seen < empty).all(0)
     rest = _share_outside((regions > 0) & ~is_shadow, circle)
-    if coverage < MIN_COVERAGE:
-        _check_not_cut(regions)
-    if rest > TRAIL_REST or coverage < MIN_COVERAGE:
+    is_cut = _is_cut(regions)
+    if is_cut and coverage < MIN_COVERAGE:
+        raise CalibrationError(
+            "no whole disc found: what differs from the background is cut by the picture's border; "
+            "show the whole ball, and nothing else"
+        )
+    if not is_cut and (rest > TRAIL_REST or coverage < MIN_COVERAGE):
         _check_no_trail(regions)
     if coverage < MIN_COVERAGE:
         raise CalibrationError(
@@ -204,14 +208,10 @@ def _share_outside(others: NDArray[np.bool_], circle: Circle) -> float:
     return float(np.count_nonzero(outside)) / (math.pi * circle.radius**2)
 
 
-def _check_not_cut(regions: Mask) -> None:
-    """Raise `CalibrationError` where a region lies along the picture's border for a while."""
+def _is_cut(regions: Mask) -> bool:
+    """Tell whether a region lies along the picture's border for a while."""
     border = (regions[1], regions[-2], regions[:, 1], regions[:, -2])
-    if max(np.count_nonzero(line) for line in border) > MIN_AREA**0.5:
-        raise CalibrationError(
-            "no whole disc found: what differs from the background is cut by the picture's border; "
-            "show the whole ball, and nothing else"
-        )
+    return max(np.count_nonzero(line) for line in border) > MIN_AREA**0.5
 
 
 def _check_no_trail(regions: Mask) -> None:
