@@ -68,7 +68,8 @@ class RadonTable:
             direction = direction.expand(*offset.shape[:-1], 1)
         cubics = _among_directions(self.cubics.to(offset), direction.flatten())
         # channels before samples: this runs for every sample in every step of the fit
-        cell, x, per_offset = _locate(offset.reshape(len(cubics), 1, -1), OFFSETS)
+        samples = offset.numel() // max(len(cubics), 1)
+        cell, x, per_offset = _locate(offset.reshape(len(cubics), 1, samples), OFFSETS)
         near = cubics.flatten(1, 2).gather(2, cell.expand(-1, 12, -1))
         c0, c1, c2, c3 = near.reshape(len(cubics), 4, 3, -1).unbind(1)
         value = c0 + x * (c1 + x * (c2 + x * c3))

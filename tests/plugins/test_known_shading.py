@@ -268,6 +268,12 @@ def test_a_shaded_ball_is_measured_where_one_colour_misses_it():
     assert errors["uniform"][1] > 1.5 * errors["known-shading"][1]
 
 
+def test_no_chords_have_no_colours(estimator):
+    chord = Chord(offset=torch.zeros(0, 7), direction=torch.zeros(0, 1))
+    value, slope = estimator.foreground_and_slope(chord)
+    assert value.shape == slope.shape == (0, 7, 3)
+
+
 def test_the_table_is_made_once_and_quickly(estimator):
     assert estimator.table is estimator.table
     threads = torch.get_num_threads()
