@@ -71,7 +71,7 @@ class RadonTable:
         samples = offset.numel() // max(len(cubics), 1)
         cell, x, per_offset = _locate(offset.reshape(len(cubics), 1, samples), OFFSETS)
         near = cubics.flatten(1, 2).gather(2, cell.expand(-1, 12, -1))
-        c0, c1, c2, c3 = near.reshape(len(cubics), 4, 3, -1).unbind(1)
+        c0, c1, c2, c3 = near.reshape(len(cubics), 4, 3, samples).unbind(1)
         value = c0 + x * (c1 + x * (c2 + x * c3))
         slope = (c1 + x * (2 * c2 + x * (3 * c3))) * per_offset
         return value.mT.reshape(*offset.shape, 3), slope.mT.reshape(*offset.shape, 3)
