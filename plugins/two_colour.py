@@ -71,7 +71,7 @@ class TwoColour(AlphaEstimator):
         if self.plane_normal is not None:
             vector = np.array(self.plane_normal)
         else:
-            vector = np.cross(*self.colours)
+            vector = np.cross(np.array(self.colours[0]), np.array(self.colours[1]))
         x, y, z = (vector / np.linalg.norm(vector)).tolist()
         return (x, y, z)
 
@@ -80,12 +80,20 @@ class TwoColour(AlphaEstimator):
     ) -> Observation:
         """Give the distances of both pictures from the pigments' plane, one channel.
 
+        A distance needs all three colours. Behind a mosaic it is taken where red was measured, once
+        a cell of the mosaic, as one sample with the noise of all the cell holds.
+
         Raises:
             StreakError: when the background lies in that plane.
         """
         signal, ground = self._distance(image.rgb), self._distance(background.rgb)
         variance = noise.variance(image.rgb) + noise.variance(background.rgb) / background.frames
         variance = self._weights(variance, power=2)
+        measured = image.measured()
+        if measured is not None:
+            sites = measured[:, :1]
+            share = sites.to(variance.dtype).mean()
+            variance = torch.where(sites, share * variance, torch.inf)
         self._check_background(ground, variance)
         return Observation(signal=signal, ground=ground, variance=variance)
 
@@ -101,7 +109,8 @@ class TwoColour(AlphaEstimator):
         return torch.einsum("c,bchw->bhw", weight, values)[:, None]
 
     def _check_background(self, ground: Tensor, variance: Tensor) -> None:
-        contrast = float((ground.abs() / variance.sqrt()).median())
+        used = torch.isfinite(variance)
+        contrast = float((ground[used].abs() / variance[used].sqrt()).median())
         if not contrast >= MIN_CONTRAST:
             raise StreakError(
                 "the background lies in the plane of the ball's two colours "

@@ -61,6 +61,32 @@ def test_several_backgrounds_are_less_noisy():
     assert float(four.variance.mean() / one.variance.mean()) == pytest.approx(1.25 / 2)
 
 
+def test_behind_a_mosaic_each_cell_counts_once():
+    estimator, grey = TwoColour(colours=(RED, BLUE)), torch.tensor([0.4, 0.45, 0.35])
+    pattern, size = ((0, 1), (1, 2)), 64
+    torch.manual_seed(5)
+    channel = torch.tensor(pattern).repeat(size // 2, size // 2)
+    density = torch.tensor([0.25, 0.5, 0.25])
+    pictures = [
+        LinearImage(
+            mosaic=(grey[channel] + 0.01 * torch.randn(size, size))[None, None],
+            pattern=pattern,
+            clipped=torch.zeros(1, 1, size, size, dtype=torch.bool),
+        )
+        for _ in range(2)
+    ]
+    seen = estimator.observe(*pictures, replace(NOISE, density=density))
+    used = torch.isfinite(seen.variance)
+    assert int(used.sum()) == size * size // 4
+    # sums of many samples scatter as their variances say
+    inner = used.clone()
+    inner[..., :2, :] = inner[..., -2:, :] = inner[..., :2] = inner[..., -2:] = False
+    difference = torch.where(inner, seen.signal - seen.ground, 0)
+    blocks = difference[..., 2:-2, 2:-2].unfold(2, 10, 10).unfold(3, 10, 10).sum((-1, -2))
+    expected = 25 * float(seen.variance[used].mean())
+    assert float(blocks.var()) == pytest.approx(expected, rel=0.5)
+
+
 def test_the_ball_itself_shows_nothing():
     chord = Chord(offset=torch.linspace(-1, 1, 7), direction=torch.zeros(1))
     assert torch.equal(TwoColour(colours=(RED, BLUE)).foreground(chord, None), torch.zeros(7, 1))
