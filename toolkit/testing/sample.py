@@ -42,6 +42,8 @@ FRAMES = 16
 REPEATS = 6
 """Shots that differ by their noise only."""
 SUPERSAMPLING = 3
+NO_PLANE = 1e-6
+"""Length of the product of two colours of the same hue, as black and white: they span a line."""
 CORE = 0.85
 """Half widths from the axis within which opacities are compared: at the rim the lens decides."""
 DISC_NODES = 129
@@ -236,7 +238,9 @@ def _facts(appearance: Appearance) -> dict[str, object]:
         facts["colour"] = colours[0]
     if len(colours) == 2:
         normal = np.cross(np.array(colours[0]), np.array(colours[1]))
-        facts["plane_normal"] = tuple((normal / np.linalg.norm(normal)).tolist())
+        length = float(np.linalg.norm(normal))
+        if length > NO_PLANE:
+            facts["plane_normal"] = tuple((normal / length).tolist())
     return facts
 
 

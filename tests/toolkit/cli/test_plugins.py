@@ -1,4 +1,5 @@
 import json
+import shutil
 import subprocess
 import sys
 import time
@@ -6,6 +7,8 @@ import time
 import pytest
 
 from toolkit.cli.main import main
+from toolkit.synthetic import benchmark_scene, render_shot
+from toolkit.synthetic.folder import write_shot
 
 SHINY = '''
 from dataclasses import dataclass, field
@@ -182,3 +185,62 @@ def test_a_failing_check_is_5(declare, capsys):
 def test_wrong_words_of_check_are_2(words, reason, capsys):
     assert run("check", "uniform", *words) == 2
     assert reason in capsys.readouterr().err
+
+
+BAD = """
+import torch
+from dataclasses import dataclass, replace
+from toolkit import AlphaEstimator, Observation
+
+@dataclass(frozen=True, kw_only=True)
+class Bad(AlphaEstimator):
+    fault: str = "none"
+    def observe(self, image, background, noise):
+        variance = noise.variance(image.rgb) + noise.variance(background.rgb)
+        if self.fault == "nan":
+            variance = variance * torch.nan
+        if self.fault == "shape":
+            variance = variance[..., 1:]
+        if self.fault == "type":
+            variance = variance.double()
+        if self.fault == "raise":
+            raise KeyError("oops")
+        return Observation(signal=image.rgb, ground=background.rgb, variance=variance)
+    def foreground(self, chord, appearance):
+        if self.fault == "late" and chord.offset.numel() > 1:
+            raise ValueError("only while fitting")
+        return chord.offset.new_tensor((0.9, 0.6, 0.1)).expand(*chord.offset.shape, 3)
+"""
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("shot")
+    write_shot(folder, render_shot(benchmark_scene(width_px=30, length_widths=4)), format="png")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason"),
+    [
+        ("nan", "its observe gives variances that are negative or no number"),
+        ("shape", "its observe gives signal, ground, variance of shapes"),
+        ("type", "its observe gives torch.float32, torch.float32, torch.float64"),
+        ("raise", "its observe breaks with KeyError: 'oops'"),
+        ("late", "only while fitting"),
+    ],
+)
+def test_a_bad_answer_while_measuring_is_5(declare, simulated, tmp_path, capsys, fault, reason):
+    declare(BAD, "bad = :Bad")
+    shutil.copytree(simulated, tmp_path / "shot")
+    overlay = tmp_path / "drawn.png"
+    words = ["measure", str(tmp_path / "shot/shot.png"), "--estimator", "bad"]
+    words += ["--set", f"fault={fault}", "--json", "--overlay", str(overlay)]
+    assert main(words) == 5
+    out, err = capsys.readouterr()
+    assert err.startswith("toolkit: estimator 'bad' of shop 1.5: its ")
+    assert reason in err
+    assert "report this to its author" in err
+    assert err.count("\n") == 1
+    assert json.loads(out)["status"] == "refused"
+    assert not overlay.exists()

@@ -172,3 +172,10 @@ def test_colours_given_or_its_own_are_shown():
     sample = sample_for(Uniform, background_colour=(0.1, 0.6, 0.1))
     mean = sample.shot.clean_background.mean((1, 2))
     assert torch.allclose(mean, torch.tensor([0.1, 0.6, 0.1]), atol=0.03)
+
+
+def test_black_and_white_span_no_plane():
+    stripes = StripedBall(colours=((0.8, 0.8, 0.8), (0.1, 0.1, 0.1)))
+    facts = make_sample(stripes).facts
+    assert "plane_normal" not in facts
+    assert facts["colours"] == stripes.colours
