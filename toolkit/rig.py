@@ -52,9 +52,8 @@ class Rig:
             ball_radius=other.ball_radius if self.ball_radius is None else self.ball_radius,
             ball_radius_std=other.ball_radius_std if keeps_radius else self.ball_radius_std,
             ball_colours=self.ball_colours or other.ball_colours,
-            # who shows the ball itself speaks of another one than the file does
-            ball=self.ball or (None if self.ball_image else other.ball),
-            ball_image=self.ball_image or (None if self.ball else other.ball_image),
+            ball=self.ball or other.ball,
+            ball_image=self.ball_image or other.ball_image,
             exposure=other.exposure if self.exposure is None else self.exposure,
             exposure_std=other.exposure_std if keeps_exposure else self.exposure_std,
             background=self.background or other.background,

@@ -70,6 +70,22 @@ def find_rough_disc(image: LinearImage, background: LinearImage, noise: NoiseMod
     circle, coverage = _best_circle(_outline(regions))
     is_shadow = (seen < empty).all(0)
     rest = _share_outside((regions > 0) & ~is_shadow, circle)
+    _check_regions(regions, coverage, rest)
+    return Circle(
+        x=(circle.x + 0.5) * factor - 0.5,
+        y=(circle.y + 0.5) * factor - 0.5,
+        radius=circle.radius * factor,
+    )
+
+
+def _check_regions(regions: Mask, coverage: float, rest: float) -> None:
+    """Raise `CalibrationError` unless a circle is most of what differs from the background.
+
+    Args:
+        regions: what differs.
+        coverage: share of the best circle that their outline follows.
+        rest: what lies outside of it and is no shadow, as a share of its area.
+    """
     is_cut = _is_cut(regions)
     if is_cut and coverage < MIN_COVERAGE:
         raise CalibrationError(
@@ -88,11 +104,6 @@ def find_rough_disc(image: LinearImage, background: LinearImage, noise: NoiseMod
             "more than a ball differs from the background: besides its disc something covers "
             f"{rest:.1f} times its area; take away hands and other things, and show one ball"
         )
-    return Circle(
-        x=(circle.x + 0.5) * factor - 0.5,
-        y=(circle.y + 0.5) * factor - 0.5,
-        radius=circle.radius * factor,
-    )
 
 
 def _reduction(image: LinearImage) -> int:

@@ -106,3 +106,13 @@ def test_options_stay_with_their_own_estimator():
     assert Rig(options={"y": "2"}).over(rig).options == {"x": "1", "y": "2"}
     assert Rig(estimator="a").over(rig).options == rig.options
     assert Rig(estimator="b", options={"z": "3"}).over(rig).options == {"z": "3"}
+
+
+def test_ball_file_is_read_and_stays_beside_a_picture(tmp_path):
+    text = 'schema = "toolkit.rig/1"\n[ball]\nfile = "balls/ball.toml"\n'
+    rig = read_rig(write(tmp_path, text))
+    assert rig.ball == tmp_path / "balls/ball.toml"
+    assert Rig().over(rig).ball == rig.ball
+    assert Rig(ball=Path("other.toml")).over(rig).ball == Path("other.toml")
+    shown = Rig(ball_image=Path("sharp.png")).over(rig)
+    assert (shown.ball, shown.ball_image) == (rig.ball, Path("sharp.png"))

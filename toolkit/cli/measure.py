@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from toolkit.errors import BadOutputError, ConfigError, StreakError
+from toolkit.errors import BadOutputError, CalibrationError, ConfigError, StreakError
 from toolkit.option_text import parse_colours, parse_option, parse_settings
 
 if TYPE_CHECKING:
@@ -91,26 +91,32 @@ def measure(
     colours = parse_colours(ball_colour or [])
     corner_and_size = _roi(roi)
 
+    from toolkit.measurement import Measurement
     from toolkit.report import summarise, write_overlay
     from toolkit.shot import load_shot, measure_shot, refuse_shot
 
-    loaded = load_shot(
-        shot,
-        rig=rig,
-        camera=camera,
-        background=background or (),
-        ball_radius=radius,
-        ball_radius_std=radius_std,
-        exposure=exposure,
-        response=response,
-        estimator=estimator,
-        options=options,
-        ball_colours=colours,
-        ball=ball,
-        ball_image=ball_image,
-        roi=corner_and_size,
-        frame=frame,
-    )
+    try:
+        loaded = load_shot(
+            shot,
+            rig=rig,
+            camera=camera,
+            background=background or (),
+            ball_radius=radius,
+            ball_radius_std=radius_std,
+            exposure=exposure,
+            response=response,
+            estimator=estimator,
+            options=options,
+            ball_colours=colours,
+            ball=ball,
+            ball_image=ball_image,
+            roi=corner_and_size,
+            frame=frame,
+        )
+    except CalibrationError as error:
+        # no file yet: which ones were read, and must not be replaced, is not known
+        _hand_out(Measurement.refused(str(error)), None, json)
+        raise
     _check_outputs(out, overlay, inputs=loaded.files)
     try:
         measurement = measure_shot(loaded)
