@@ -17,6 +17,7 @@ from typing import ClassVar, final
 import torch
 from torch import Tensor
 
+from toolkit.camera import Camera
 from toolkit.types import LinearImage, NoiseModel
 
 API_VERSION = 1
@@ -47,6 +48,7 @@ class Chord:
     direction: Tensor  # [..., 1] radians in the image, of the motion
     start: float | Tensor = -1.0  # broadcast against offset
     stop: float | Tensor = 1.0
+    place: Tensor | None = None  # [..., 1, 2] px of the ball in the whole picture, where known
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,6 +93,10 @@ class AlphaEstimator(ABC):
     def unknowns(self) -> int:
         """Say how many numbers of its appearance, A, are left for the fit to find: none, here."""
         return 0
+
+    def seen_through(self, camera: Camera) -> "AlphaEstimator":
+        """Give the estimator that knows the camera of the shot: this one, if that tells nothing."""
+        return self
 
     @final
     def settled(self, appearance: Tensor) -> "AlphaEstimator":

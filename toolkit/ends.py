@@ -9,7 +9,7 @@ the ends out.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -127,10 +127,11 @@ def _locate_end(
     enter, leave, is_covered = covering_interval(curve, nearest, rays, ball_radius)
     offset = _chord_offset(curve, nearest, rays, ball_radius)
     direction = _direction(curve, end, camera)
+    place = camera.project(curve(end))[None]
     leading, trailing = (leave, enter) if sign > 0 else (enter, leave)
     low, high = float(enter.min()), float(leave.max())
     for _ in range(STEPS):
-        chord = _seen_chord(offset, direction, enter, leave, end, sign)
+        chord = replace(_seen_chord(offset, direction, enter, leave, end, sign), place=place)
         alpha, precision = cap.opacity(chord)
         weight = torch.where(is_covered, precision, 0)
         inside = ((end - trailing) * sign > 0) & ((leading - end) * sign > 0) & is_covered

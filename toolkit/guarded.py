@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator, Chord, Observation
+from toolkit.camera import Camera
 from toolkit.errors import BadOutputError, ImageError, ShapeError, ToolkitError
 from toolkit.files import one_line
 from toolkit.registry import called
@@ -77,6 +78,12 @@ class _Guarded(AlphaEstimator):
                 shapes = f"{list(value.shape)} and {list(slope.shape)}"
                 self._refuse(name, f"gives value and slope of different shapes, {shapes}")
         return value, slope
+
+    def seen_through(self, camera: Camera) -> AlphaEstimator:
+        through = self._ask("seen_through", lambda: self.estimator.seen_through(camera))
+        if not isinstance(through, AlphaEstimator):
+            self._refuse("seen_through", f"gives a {type(through).__name__}, not an estimator")
+        return guarded(through)
 
     def unknowns(self) -> int:
         count = self._ask("unknowns", self.estimator.unknowns)

@@ -98,7 +98,7 @@ def measure(
     _check_numbers(ball_radius, ball_radius_std, exposure, exposure_std)
     check_pair(image, background)
     camera = fit_camera(camera, image)
-    name, estimator = name_of(type(estimator)), guarded(estimator)
+    name, estimator = name_of(type(estimator)), guarded(estimator).seen_through(camera)
     watch = _Stopwatch()
 
     view = observe_streak(image, background, estimator, roi)

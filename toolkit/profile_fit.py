@@ -179,6 +179,7 @@ def _first_guess(
     middle = Chord(
         offset=torch.zeros_like(profiles.position)[..., None],
         direction=profiles.direction[..., None],
+        place=profiles.origin[..., None, :],
     )
     contrast = estimator.foreground(middle, None) - profiles.ground
     weight = contrast / profiles.variance.clamp_min(1e-14)

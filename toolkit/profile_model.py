@@ -42,6 +42,7 @@ class ProfileModel:
     whitening: Tensor  # [E, Q, S] 1 / standard deviation, 0 for what is not to be used
     contrasts: tuple[Tensor, Tensor] | None  # [E, Q, S], where one colour serves every offset
     direction: Tensor  # [E, 1] rad
+    place: Tensor  # [E, 1, 2] px of the profile in the picture
     skew_mean: Tensor  # [E]
     skew_std: float
     is_bent: bool
@@ -65,8 +66,9 @@ class ProfileModel:
         J_ground = ground if is_same else _by_channel(J_ground)
         offset = profiles.offset.flatten(0, 1).to(PRECISION)
         direction = profiles.direction.flatten()[:, None].to(PRECISION)
+        place = profiles.origin.flatten(0, 1)[:, None].to(PRECISION)
         foreground, slope = estimator.foreground_and_slope(
-            Chord(offset=torch.zeros_like(offset), direction=direction)
+            Chord(offset=torch.zeros_like(offset), direction=direction, place=place)
         )
         foreground = foreground.mT
         contrast = (foreground - ground) * weight
@@ -84,6 +86,7 @@ class ProfileModel:
             whitening=weight,
             contrasts=(contrast, J_contrast) if slope is None else None,
             direction=direction,
+            place=place,
             skew_mean=mean.flatten(),
             skew_std=KNOWN_SKEW if skew is None else skew.std,
             is_bent=bool((mean.abs() > STRAIGHT).any()),
@@ -149,7 +152,7 @@ class ProfileModel:
         The foreground is linear in them. [A, Q, S, U]
         """
         offset = (self.offset[rows] - x[:, :1]) / x[:, 1:2]
-        chord = Chord(offset=offset.clamp(-1, 1).to(PRECISION), direction=self.direction[rows])
+        chord = self._chord(offset.to(PRECISION), rows)
         count = estimator.unknowns()
         at_zero = estimator.foreground(chord, torch.zeros(count, dtype=x.dtype))
         columns = [
@@ -196,6 +199,12 @@ class ProfileModel:
         information[:, 3, 3] += 1 / self.skew_std**2
         return surprise
 
+    def _chord(self, share: Tensor, rows: Tensor | slice) -> Chord:
+        """Whole chords at offsets [A, S] in half widths; beyond the rim, those at the rim."""
+        return Chord(
+            offset=share.clamp(-1, 1), direction=self.direction[rows], place=self.place[rows]
+        )
+
     def _contrast(
         self, share: Tensor, rows: Tensor | slice
     ) -> tuple[Tensor, Tensor, Tensor | None]:
@@ -204,9 +213,7 @@ class ProfileModel:
             contrast, J_contrast = self.contrasts
             taken = contrast[rows]
             return taken, taken if J_contrast is contrast else J_contrast[rows], None
-        foreground, slope = self.estimator.foreground_and_slope(
-            Chord(offset=share.clamp(-1, 1), direction=self.direction[rows])
-        )
+        foreground, slope = self.estimator.foreground_and_slope(self._chord(share, rows))
         foreground, weight = foreground.mT, self.whitening[rows]
         contrast = (foreground - self.ground[rows]) * weight
         J_contrast = (foreground - self.J_ground[rows]) * weight

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator, Chord, Observation
+from toolkit.camera import Camera
 from toolkit.contours import smooth_parameters
 from toolkit.errors import BadOutputError, StreakError
 from toolkit.guarded import guarded
@@ -49,6 +50,7 @@ def select_estimator(
     image: LinearImage,
     background: LinearImage,
     estimators: Sequence[tuple[str, AlphaEstimator]],
+    camera: Camera,
     roi: ROI | None = None,
 ) -> Selection:
     """Choose the estimator that predicts held-out pixels of the streak best.
@@ -57,12 +59,16 @@ def select_estimator(
         image: the shot, B = 1.
         background: the same view without the ball.
         estimators: to choose among, with their names.
+        camera: of the shot.
         roi: left, top, width, height in px to search in.
 
     Raises:
         StreakError: when the shot suits none of them, with each one's reason.
     """
-    tried = [_try(name, estimator, image, background, roi) for name, estimator in estimators]
+    tried = [
+        _try(name, estimator.seen_through(camera), image, background, roi)
+        for name, estimator in estimators
+    ]
     scored = sorted(
         (candidate for candidate in tried if candidate.score is not None),
         key=lambda candidate: candidate.score or 0.0,
@@ -86,10 +92,11 @@ def _try(
     estimator: AlphaEstimator,
     image: LinearImage,
     background: LinearImage,
+    camera: Camera,
     roi: ROI | None,
 ) -> Candidate:
     try:
-        score, edge_std = score_estimator(image, background, estimator, roi)
+        score, edge_std = score_estimator(image, background, estimator, camera, roi)
     except (StreakError, BadOutputError) as error:
         return Candidate(estimator=name, reason=str(error))
     return Candidate(estimator=name, score=score, edge_std_px=edge_std)
@@ -99,6 +106,7 @@ def score_estimator(
     image: LinearImage,
     background: LinearImage,
     estimator: AlphaEstimator,
+    camera: Camera,
     roi: ROI | None = None,
 ) -> tuple[float, float]:
     """Fit all but some pixels of the streak and predict these.
@@ -110,7 +118,7 @@ def score_estimator(
     Raises:
         StreakError: when this estimator cannot measure the shot.
     """
-    estimator = guarded(estimator)
+    estimator = guarded(estimator).seen_through(camera)
     view = observe_streak(image, background, estimator, roi)
     height, width = view.clipped.shape[-2:]
     across, down = LATTICE
@@ -131,7 +139,11 @@ def _score(
     held_out = _colour_profiles(replace(colours, signal=marks), view, fit).signal[0, ..., 0]
     alpha, share = _predict_opacity(seen, fit)
     is_near = (share.abs() < EDGE) & seen.valid[0] & fit.good[0][:, None]
-    chord = Chord(offset=share.clamp(-1, 1), direction=seen.direction[0][:, None])
+    chord = Chord(
+        offset=share.clamp(-1, 1),
+        direction=seen.direction[0][:, None],
+        place=seen.origin[0][:, None],
+    )
     ground, variance = seen.ground[0], seen.variance[0]
     if torch.equal(view.observation.signal, colours.signal):
         colour = estimator.foreground(chord, None)

@@ -136,7 +136,9 @@ def measure_shot(shot: ShotInputs) -> Measurement:
     start = time.perf_counter()
     (name, estimator), tried = shot.candidates.ready[0], ()
     if shot.estimator_name == AUTO:
-        chosen = select_estimator(shot.image, shot.background, shot.candidates.ready, shot.roi)
+        chosen = select_estimator(
+            shot.image, shot.background, shot.candidates.ready, shot.camera, shot.roi
+        )
         name, estimator = chosen.name, chosen.estimator
         tried = (*chosen.candidates, *shot.candidates.unsuited)
     selected = time.perf_counter()

@@ -53,20 +53,24 @@ def candidates(shot):
 
 
 def test_a_good_prediction_scores_about_one(plain):
-    score, edge_std = score_estimator(plain.image, plain.background, Uniform(colour=COLOUR))
+    score, edge_std = score_estimator(
+        plain.image, plain.background, Uniform(colour=COLOUR), SCENE.camera
+    )
     assert score == pytest.approx(0.95, abs=0.2)
     assert 0.1 < edge_std < 1
 
 
 def test_a_wrong_colour_scores_worse(plain):
-    right, _ = score_estimator(plain.image, plain.background, Uniform(colour=COLOUR))
+    right, _ = score_estimator(plain.image, plain.background, Uniform(colour=COLOUR), SCENE.camera)
     wrong = tuple(0.6 * channel for channel in COLOUR)
-    score, _ = score_estimator(plain.image, plain.background, Uniform(colour=wrong))
+    score, _ = score_estimator(plain.image, plain.background, Uniform(colour=wrong), SCENE.camera)
     assert score > 1.1 * right
 
 
 def test_the_sharp_picture_is_chosen_for_a_shaded_ball(shaded):
-    chosen = select_estimator(shaded.image, shaded.background, list(candidates(shaded).items()))
+    chosen = select_estimator(
+        shaded.image, shaded.background, list(candidates(shaded).items()), SCENE.camera
+    )
     assert chosen.name == "known-shading"
     assert isinstance(chosen.estimator, KnownShading)
     scores = {c.estimator: c.score for c in chosen.candidates}
@@ -74,7 +78,9 @@ def test_the_sharp_picture_is_chosen_for_a_shaded_ball(shaded):
 
 
 def test_the_plane_is_chosen_for_a_spinning_pattern(striped):
-    chosen = select_estimator(striped.image, striped.background, list(candidates(striped).items()))
+    chosen = select_estimator(
+        striped.image, striped.background, list(candidates(striped).items()), SCENE.camera
+    )
     assert chosen.name == "two-colour"
     assert {c.estimator for c in chosen.candidates} == {"uniform", "known-shading", "two-colour"}
 
@@ -82,7 +88,9 @@ def test_the_plane_is_chosen_for_a_spinning_pattern(striped):
 def test_what_fails_is_listed_last_with_its_reason(plain):
     tried = [("two-colour", TwoColour(colours=(RED, BLUE))), ("uniform", Uniform(colour=COLOUR))]
     in_plane = TwoColour(colours=((0.3, 0.31, 0.32), COLOUR))
-    chosen = select_estimator(plain.image, plain.background, [("two", in_plane), *tried[1:]])
+    chosen = select_estimator(
+        plain.image, plain.background, [("two", in_plane), *tried[1:]], SCENE.camera
+    )
     assert chosen.name == "uniform"
     assert chosen.candidates[-1].estimator == "two"
     assert chosen.candidates[-1].score is None
@@ -92,4 +100,6 @@ def test_what_fails_is_listed_last_with_its_reason(plain):
 def test_nothing_suitable_is_refused_with_every_reason(plain):
     nothing = replace(plain.image, rgb=plain.background.rgb + 0.01 * torch.randn(1, 3, 1, 1))
     with pytest.raises(StreakError, match=r"none of the estimators .* uniform: "):
-        select_estimator(nothing, plain.background, [("uniform", Uniform(colour=COLOUR))])
+        select_estimator(
+            nothing, plain.background, [("uniform", Uniform(colour=COLOUR))], SCENE.camera
+        )
