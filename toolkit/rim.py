@@ -144,84 +144,130 @@ def find_rim(
         blur: rough standard deviation of the transition, px.
     """
     angle = directions(disc)
-    radius = rim_radius(disc, angle)[:, None]
-    reach = max(MIN_REACH, REACH_SPREADS * blur)
-    zone = torch.arange(-reach, reach + OUTSIDE + STEP / 2, STEP, dtype=angle.dtype)
-    seen, is_clipped = _sample(image, disc, angle, 1 + zone / radius)
-    empty, is_empty_clipped = _sample(background, disc, angle, 1 + zone / radius)
-    light = inner_light(image, noise, disc, angle, reach)
-    variance = CORRELATION * _variance(noise, (seen + empty) / 2, 1 + 1 / background.frames)
-    fine = torch.arange(float(zone[0]) - 4 * blur, float(zone[-1]) + 4 * blur, FINE).to(angle)
-    behind, _ = _sample(background, disc, angle, 1 + fine / radius)
-    facing = (1 - (1 + fine / radius) ** 2).clamp_min(0).sqrt()[..., None]
-    contrast = light[:, None, 0] + facing * light[:, None, 1] - behind
-    shift, spread = torch.zeros_like(angle), torch.full_like(angle, blur**2)
-    for _ in range(STEPS):
-        model, J = _rim_model(contrast, fine, zone, shift, blur)
-        residual = seen - empty - model
-        normal = (J[:, :, None] * J[:, None] / variance[:, None, None]).sum((-2, -1))
-        pull = (J * (residual / variance)[:, None]).sum((-2, -1))
-        normal = normal + torch.tensor([1e-9, SPREAD_PRIOR]).to(normal).diag()
-        step = torch.linalg.solve(normal, pull[..., None])[..., 0]
-        shift = (shift + step[:, 0].clamp(-1, 1)).clamp(-reach, reach)
-        spread = blur**2 + step[:, 1]
-    chi2 = ((residual - J[:, 1] * step[:, 1, None, None]) ** 2 / variance).mean((1, 2))
+    zone = _read_zone(image, background, noise, disc, angle, blur)
+    fit = _fit_steps(zone)
     # a blurred disc has its half height a little inside its rim
-    shift = shift + blur**2 / (2 * radius[:, 0])
-    information = normal[:, 0, 0]
-    outside = _alpha_outside(residual, contrast, variance, zone > reach)
+    shift = fit.shift + blur**2 / (2 * rim_radius(disc, angle))
     usable = (
-        (information > MIN_INFORMATION)
-        & (outside < MAX_OUTSIDE)
-        & (shift.abs() < reach)
-        & ~(is_clipped | is_empty_clipped).any(1)
+        (fit.information > MIN_INFORMATION)
+        & (_alpha_outside(zone, fit.residual) < MAX_OUTSIDE)
+        & (shift.abs() < zone.reach)
+        & zone.is_exposed
     )
     # a pattern's edge in the zone shows as misfit, and then little is known about the rim
-    rim_variance = (1 / information.clamp_min(1e-9)) * (chi2 / USUAL_MISFIT).clamp_min(1) ** 4
+    variance = (fit.chi2 / USUAL_MISFIT).clamp_min(1) ** 4 / fit.information
     # where the pattern's edge hid just inside the rim, the search saw it and the fit did not
-    searched = search_rim(image, background, noise, disc, reach)
+    searched = search_rim(image, background, noise, disc, zone.reach)
     is_believed = usable & ((shift - searched.shift).abs() < AGREEMENT)
-    is_believed &= rim_variance < searched.variance
+    is_believed &= variance < searched.variance
+    otherwise = torch.where(usable, searched.variance, torch.inf)
     return Rim(
         angle=angle,
         shift=torch.where(is_believed, shift, searched.shift),
-        variance=torch.where(
-            is_believed, rim_variance, torch.where(usable, searched.variance, torch.inf)
-        ),
-        spread=torch.where(is_believed, spread, torch.nan),
+        variance=torch.where(is_believed, variance, otherwise),
+        spread=torch.where(is_believed, fit.spread, torch.nan),
     )
 
 
-def _rim_model(
-    contrast: Tensor, fine: Tensor, zone: Tensor, shift: Tensor, blur: float
-) -> tuple[Tensor, Tensor]:
-    """Give what the ball adds at places of the zone [D, S, 3], and its derivatives [D, 2, S, 3].
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Zone:
+    """What is seen near the rim, D directions: S places that are seen, U where light is known."""
 
-    The derivatives are in the rim's shift and in the variance of the blur there.
+    place: Tensor  # [S] px outwards of the disc's rim
+    fine: Tensor  # [U] px, the same, closer together
+    reach: float  # px on either side of the rim that hold the transition
+    blur: float  # px, rough standard deviation of the transition
+    change: Tensor  # [D, S, 3] picture minus background
+    variance: Tensor  # [D, S, 3] of it, as if the samples were independent
+    contrast: Tensor  # [D, U, 3] ball minus background
+    is_exposed: Tensor  # [D] bool, False where a pixel met white
 
-    Args:
-        contrast: ball minus background on the fine places [D, U, 3].
-        fine: places, px [U].
-        zone: places seen, px [S].
-        shift: of the rim, px [D].
-        blur: px.
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Fit:
+    """Rims fitted in D directions."""
+
+    shift: Tensor  # [D] px
+    spread: Tensor  # [D] px^2
+    information: Tensor  # [D] 1 / variance of the shift, if nothing but noise disturbs
+    residual: Tensor  # [D, S, 3] with the common blur
+    chi2: Tensor  # [D] per sample, with each direction's own blur
+
+
+def _read_zone(
+    image: LinearImage,
+    background: LinearImage,
+    noise: NoiseModel,
+    disc: Disc,
+    angle: Tensor,
+    blur: float,
+) -> _Zone:
+    """Read both pictures near the rim, and extend the ball's light to it from inside."""
+    radius = rim_radius(disc, angle)[:, None]
+    reach = max(MIN_REACH, REACH_SPREADS * blur)
+    place = torch.arange(-reach, reach + OUTSIDE + STEP / 2, STEP, dtype=angle.dtype)
+    seen, is_clipped = _sample(image, disc, angle, 1 + place / radius)
+    empty, is_empty_clipped = _sample(background, disc, angle, 1 + place / radius)
+    fine = torch.arange(float(place[0]) - 4 * blur, float(place[-1]) + 4 * blur, FINE).to(angle)
+    behind, _ = _sample(background, disc, angle, 1 + fine / radius)
+    light = inner_light(image, noise, disc, angle, reach)
+    facing = (1 - (1 + fine / radius) ** 2).clamp_min(0).sqrt()[..., None]
+    return _Zone(
+        place=place,
+        fine=fine,
+        reach=reach,
+        blur=blur,
+        change=seen - empty,
+        variance=CORRELATION * _variance(noise, (seen + empty) / 2, 1 + 1 / background.frames),
+        contrast=light[:, None, 0] + facing * light[:, None, 1] - behind,
+        is_exposed=~(is_clipped | is_empty_clipped).any(1),
+    )
+
+
+def _fit_steps(zone: _Zone) -> _Fit:
+    """Fit the place of a blurred step, and the variance of its blur, in each direction."""
+    shift = torch.zeros(len(zone.change), dtype=zone.change.dtype)
+    prior = torch.tensor([1e-9, SPREAD_PRIOR]).to(shift).diag()
+    for _ in range(STEPS):
+        model, J = _step_model(zone, shift)
+        residual = zone.change - model
+        normal = (J[:, :, None] * J[:, None] / zone.variance[:, None, None]).sum((-2, -1)) + prior
+        pull = (J * (residual / zone.variance)[:, None]).sum((-2, -1))
+        step = torch.linalg.solve(normal, pull[..., None])[..., 0]
+        shift = (shift + step[:, 0].clamp(-1, 1)).clamp(-zone.reach, zone.reach)
+    unexplained = residual - J[:, 1] * step[:, 1, None, None]
+    return _Fit(
+        shift=shift,
+        spread=zone.blur**2 + step[:, 1],
+        information=normal[:, 0, 0],
+        residual=residual,
+        chi2=(unexplained**2 / zone.variance).mean((1, 2)),
+    )
+
+
+def _step_model(zone: _Zone, shift: Tensor) -> tuple[Tensor, Tensor]:
+    """Give what a ball with its rim at `shift` px [D] adds [D, S, 3], and derivatives [D, 2, S, 3].
+
+    They are in the shift and in the variance of the blur there.
     """
-    kernel = torch.exp(-0.5 * ((zone[:, None] - fine) / blur) ** 2)
+    kernel = torch.exp(-0.5 * ((zone.place[:, None] - zone.fine) / zone.blur) ** 2)
     kernel = kernel / kernel.sum(1, keepdim=True)
-    is_ball = ((shift[:, None] - fine) / FINE + 0.5).clamp(0, 1)
-    model = torch.einsum("su,duc->dsc", kernel, is_ball[..., None] * contrast)
-    at = ((shift - fine[0]) / FINE).round().long().clamp(0, len(fine) - 1)
-    z = (zone - shift[:, None]) / blur
-    density = torch.exp(-0.5 * z**2) / (math.sqrt(math.tau) * blur)
-    J_shift = density[..., None] * contrast[torch.arange(len(shift)), at][:, None]
-    return model, torch.stack([J_shift, J_shift * z[..., None] / (2 * blur)], dim=1)
+    is_ball = ((shift[:, None] - zone.fine) / FINE + 0.5).clamp(0, 1)
+    model = torch.einsum("su,duc->dsc", kernel, is_ball[..., None] * zone.contrast)
+    at = ((shift - zone.fine[0]) / FINE).round().long().clamp(0, len(zone.fine) - 1)
+    z = (zone.place - shift[:, None]) / zone.blur
+    density = torch.exp(-0.5 * z**2) / (math.sqrt(math.tau) * zone.blur)
+    J_shift = density[..., None] * zone.contrast[torch.arange(len(shift)), at][:, None]
+    return model, torch.stack([J_shift, J_shift * z[..., None] / (2 * zone.blur)], dim=1)
 
 
-def _alpha_outside(residual: Tensor, contrast: Tensor, variance: Tensor, beyond: Tensor) -> Tensor:
+def _alpha_outside(zone: _Zone, residual: Tensor) -> Tensor:
     """Give how much beyond the rim looks like ball, less three standard deviations, [D]."""
-    usual = contrast[:, contrast.shape[1] // 2][:, None]
-    information = (usual**2 / variance[:, beyond]).sum((1, 2)).clamp_min(1e-9)
-    alpha = (usual * residual[:, beyond] / variance[:, beyond]).sum((1, 2)) / information
+    beyond = zone.place > zone.reach
+    variance = zone.variance[:, beyond]
+    usual = zone.contrast[:, zone.contrast.shape[1] // 2][:, None]
+    information = (usual**2 / variance).sum((1, 2)).clamp_min(1e-9)
+    alpha = (usual * residual[:, beyond] / variance).sum((1, 2)) / information
     return alpha.abs() - 3 / information.sqrt()
 
 
