@@ -8,6 +8,7 @@ from torch import Tensor
 
 from toolkit.background import brightness_drift, check_pair, estimate_noise, scale_background
 from toolkit.ball import Disc
+from toolkit.disc_fit import MIN_DIRECTIONS, follow_rim
 from toolkit.errors import CalibrationError, MismatchError
 from toolkit.rim import Rim, find_rim, search_rim
 from toolkit.rough_disc import Circle, find_rough_disc
@@ -24,7 +25,6 @@ FIRST_BLUR, LEAST_BLUR, MOST_BLUR = 1.2, 0.3, 0.12
 """Standard deviation of the transition from ball to background: in px at first and at least, and as
 a share of the radius at most."""
 ROUNDS = 6
-MIN_DIRECTIONS = 16
 SETTLED = 0.01
 """px of movement of the outline below which it has settled."""
 MIN_RADIUS = 12.0
@@ -35,14 +35,10 @@ MAX_CLIPPED = 0.03
 """Share of the disc that may have met white: a highlight."""
 MIN_SEEN = 0.5
 """Share of the outline that must be seen, undisturbed and where the ellipse says."""
+NEAR, NEAR_SHARE = 0.5, 0.02
+"""px, and share of the radius, from the ellipse within which it is said to be where that says."""
 MAX_GAP = 0.4
 """Share of the outline that may be missing in one piece."""
-OUTLIER = 3.0
-"""Standard deviations from the ellipse beyond which a direction does not count."""
-NEAR, NEAR_SHARE = 0.5, 0.02
-"""px, and share of the radius, beyond which it does not either, however much all scatter."""
-FLOOR = 0.1
-"""px, within which the rim of a real ball follows an ellipse."""
 MAX_MOVE, MAX_MOVE_SHARE = 3.0, 0.08
 """px, and share of the radius, by which a ball may move during the exposure."""
 
@@ -114,7 +110,7 @@ def refine_view(
     _check_inside(whole, image, slack=-1.0)
     clipped = _clipped_share(seen, disc)
     _check_clipped(clipped)
-    _check_seen(rim, counted, whole)
+    _check_seen(counted, whole)
     _check_rest(rim, counted, whole)
     return BallView(
         image=seen,
@@ -162,11 +158,11 @@ def _fit(
     """Move the disc until the rims found agree with it; the zone they are sought in narrows."""
     for share in SEARCHES:
         rim = search_rim(image, background, noise, disc, 2 + share * disc.semi_axes[1])
-        disc, _, weight = _follow(disc, rim)
+        disc, _, weight = follow_rim(disc, rim)
     blur = FIRST_BLUR
     for _ in range(ROUNDS):
         rim = find_rim(image, background, noise, disc, blur)
-        disc, movement, weight = _follow(disc, rim)
+        disc, movement, weight = follow_rim(disc, rim)
         spread = rim.spread[(weight > 0) & torch.isfinite(rim.spread)]
         if len(spread):
             usual = math.sqrt(max(float(spread.median()), 0.0))
@@ -175,87 +171,6 @@ def _fit(
             break
     near = rim.shift.abs() < NEAR + NEAR_SHARE * disc.semi_axes[1]
     return disc, rim, (weight > 0) & near
-
-
-def _follow(disc: Disc, rim: Rim) -> tuple[Disc, float, Tensor]:
-    """Give the disc through a rim, by how many px that differs, and each direction's weight [D]."""
-    change, weight = _fit_harmonics(rim)
-    radius = disc.semi_axes[1]
-    if int((weight > 0).sum()) < MIN_DIRECTIONS or float(change.abs().max()) > 0.5 * radius:
-        raise CalibrationError(
-            "no disc found: the outline is not seen against the background; show the whole ball, "
-            "resting, before a background of another brightness or colour"
-        )
-    return (
-        _changed(disc, change, _outline_std(rim, change, weight)),
-        float(change.abs().max()),
-        weight,
-    )
-
-
-def _fit_harmonics(rim: Rim) -> tuple[Tensor, Tensor]:
-    """Fit an ellipse's small changes, robustly: px [5], and the weight of each direction [D]."""
-    design = _harmonics(rim.angle)
-    prior = torch.where(torch.isfinite(rim.variance), 1 / (rim.variance + FLOOR**2), 0)
-    weight = prior
-    residual = rim.shift
-    for _ in range(12):
-        system = design.mT @ (weight[:, None] * design)
-        system = system + 1e-6 * float(system.diagonal().mean() + 1e-9) * torch.eye(5).to(system)
-        change = torch.linalg.solve(system, design.mT @ (weight * rim.shift))
-        residual = rim.shift - design @ change
-        scale = _robust_scale(residual * prior.sqrt(), prior > 0)
-        # Tukey's biweight: what lies far off, as where a shadow joins the ball, does not pull
-        off = residual * prior.sqrt() / (OUTLIER * scale)
-        weight = prior * (1 - off**2).clamp_min(0) ** 2
-    return change, weight
-
-
-def _harmonics(angle: Tensor) -> Tensor:
-    """Give what moves, scales and stretches the unit circle, [D, 5]."""
-    one = torch.ones_like(angle)
-    return torch.stack(
-        [one, angle.cos(), angle.sin(), (2 * angle).cos(), (2 * angle).sin()], dim=-1
-    )
-
-
-def _robust_scale(values: Tensor, usable: Tensor) -> float:
-    if not bool(usable.any()):
-        return 1.0
-    return max(float(values[usable].abs().median()) / 0.674, 1.0)
-
-
-def _outline_std(rim: Rim, change: Tensor, weight: Tensor) -> float:
-    """Standard deviation of the outline, px, averaged over all directions.
-
-    Where the rims scatter by more than their variances say, as on a patterned ball, it grows.
-    """
-    design = _harmonics(rim.angle)
-    covariance = torch.linalg.pinv(design.mT @ (weight[:, None] * design))
-    scatter = _robust_scale((rim.shift - design @ change) * weight.sqrt(), weight > 0)
-    return scatter * math.sqrt(max(float((design @ covariance * design).sum(-1).mean()), 0.0))
-
-
-def _changed(disc: Disc, change: Tensor, std: float) -> Disc:
-    """Apply a change of the outline, px [5], to the disc."""
-    a, b = disc.semi_axes
-    size, x, y, stretch, skew = (change / math.sqrt(a * b)).tolist()
-    shape = disc.from_unit(torch.eye(2, dtype=torch.float64)) - torch.tensor(disc.centre).double()
-    shape = shape.mT  # columns: where the unit disc's axes go
-    centre = torch.tensor(disc.centre).double() + shape @ torch.tensor([x, y]).double()
-    growth = torch.tensor([[1 + size + stretch, skew], [skew, 1 + size - stretch]]).double()
-    left, lengths, _ = torch.linalg.svd(shape @ growth)
-    return Disc(
-        centre=(float(centre[0]), float(centre[1])),
-        semi_axes=(float(lengths[0]), float(lengths[1])),
-        angle=_half_turn(math.atan2(float(left[1, 0]), float(left[0, 0]))),
-        std=std,
-    )
-
-
-def _half_turn(angle: float) -> float:
-    """Bring the angle of an axis between -pi/2 and pi/2."""
-    return (angle + math.pi / 2) % math.pi - math.pi / 2
 
 
 def _check_size(disc: Disc) -> None:
@@ -289,7 +204,7 @@ def _check_clipped(share: float) -> None:
         )
 
 
-def _check_seen(rim: Rim, counted: Tensor, disc: Disc) -> None:
+def _check_seen(counted: Tensor, disc: Disc) -> None:
     """Raise `CalibrationError` unless most of the outline follows the ellipse."""
     share = float(counted.double().mean())
     seen = counted.nonzero()[:, 0]

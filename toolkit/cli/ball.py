@@ -11,6 +11,7 @@ from toolkit.errors import ConfigError
 if TYPE_CHECKING:
     from toolkit.ball import Disc
     from toolkit.ball_colours import BallColours
+    from toolkit.ball_file import BallFile, SharpSource
 
 
 def ball(
@@ -39,18 +40,13 @@ def ball(
 
     The ball rests in the light in which it will move, and the whole of it is seen.
     """
-    if image is None or not background:
-        missing = [
-            *([] if image else ["a sharp picture of the ball: --image F"]),
-            *([] if background else ["the same view without the ball: --background F"]),
-        ]
-        raise ConfigError(f"the ball cannot be learnt without {'; and '.join(missing)}")
+    image, background = _required(image, background)
     _check_radius(radius)
     curve = Path(response) if response is not None and Path(response).is_file() else None
     _check_outputs(out, overlay, [image, *background, *([curve] if curve else [])])
 
     from toolkit.ball_colours import learn_colours
-    from toolkit.ball_file import BallFile, SharpSource, write_ball
+    from toolkit.ball_file import SharpSource, write_ball
     from toolkit.disc import view_ball
     from toolkit.imaging import read_background, read_image
 
@@ -65,17 +61,19 @@ def ball(
     source = SharpSource(
         image=image, background=tuple(background), disc=disc, response=curve or response
     )
-    learnt = BallFile(
-        radius=radius,
-        kind=colours.kind,
-        colours=colours.pigments,
-        plane_normal=colours.normal,
-        plane_normal_std=colours.normal_std,
-        sharp=source,
-    )
-    write_ball(out, learnt)
+    write_ball(out, _as_file(radius, colours, source))
     typer.echo("\n".join([*_disc_lines(disc, view.clipped), *_colour_lines(colours)]))
     typer.echo(f"wrote {_printable(str(out))}")
+
+
+def _required(image: Path | None, background: list[Path] | None) -> tuple[Path, list[Path]]:
+    if image is None or not background:
+        missing = [
+            *([] if image else ["a sharp picture of the ball: --image F"]),
+            *([] if background else ["the same view without the ball: --background F"]),
+        ]
+        raise ConfigError(f"the ball cannot be learnt without {'; and '.join(missing)}")
+    return image, background
 
 
 def _check_radius(radius: float | None) -> None:
@@ -86,6 +84,19 @@ def _check_radius(radius: float | None) -> None:
     if not RADIUS_LIMITS[0] <= radius <= RADIUS_LIMITS[1]:
         span = f"from {RADIUS_LIMITS[0]:g} to {RADIUS_LIMITS[1]:g} m"
         raise ConfigError(f"--radius is {radius:g} m; a number {span} is needed")
+
+
+def _as_file(radius: float | None, colours: "BallColours", source: "SharpSource") -> "BallFile":
+    from toolkit.ball_file import BallFile
+
+    return BallFile(
+        radius=radius,
+        kind=colours.kind,
+        colours=colours.pigments,
+        plane_normal=colours.normal,
+        plane_normal_std=colours.normal_std,
+        sharp=source,
+    )
 
 
 def _check_outputs(out: Path, overlay: Path | None, inputs: Sequence[Path]) -> None:
