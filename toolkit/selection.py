@@ -66,8 +66,7 @@ def select_estimator(
         StreakError: when the shot suits none of them, with each one's reason.
     """
     tried = [
-        _try(name, estimator.seen_through(camera), image, background, roi)
-        for name, estimator in estimators
+        _try(name, estimator, image, background, camera, roi) for name, estimator in estimators
     ]
     scored = sorted(
         (candidate for candidate in tried if candidate.score is not None),
