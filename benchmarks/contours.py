@@ -66,7 +66,7 @@ def score_shot(shot: RenderedShot, width: float) -> Iterator[Score]:
     """Score profiles, splines and Canny at all scales on one shot."""
     sides = true_sides(shot, width, margin=0.0)
     view, estimator = observe(shot)
-    contours, fit = smooth_contours(fit_streak(view, estimator))
+    contours, fit = smooth_contours(fit_streak(view, estimator)[0])
     edges = fit.edges[0][fit.good[0]].numpy()
     yield summarise("profile", edges[:, 0], edges[:, 1], sides)
     yield summarise("spline", contours.points[0].numpy(), contours.points[1].numpy(), sides)

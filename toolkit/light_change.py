@@ -113,8 +113,8 @@ def light_caution(profiles: Profiles, fit: ProfileFit, estimator: AlphaEstimator
         seen = f"sends {factors} times the light (R, G, B) it was known by"
     return Caution(
         code="other-light",
-        message=f"the ball {seen}, as if it had moved in other light than its sharp picture shows; "
-        "take that where the ball flies, with the same exposure",
+        message=f"the ball {seen}, as if it had moved in other light; take its colours or its "
+        "sharp picture where it flies, with the same exposure",
     )
 
 

@@ -23,6 +23,7 @@ from toolkit.contours import (
 from toolkit.ends import rough_ends
 from toolkit.errors import ConfigError, StreakError
 from toolkit.guarded import guarded
+from toolkit.light_change import light_caution
 from toolkit.measurement import Measurement
 from toolkit.profile_fit import BLUR_ROUNDS, fit_profiles, improve_appearance, refine_profiles
 from toolkit.profile_model import KNOWN_SKEW, Skew
@@ -103,13 +104,14 @@ def measure(
 
     view = observe_streak(image, background, estimator, roi)
     watch.lap("streak")
-    fit = fit_streak(view, estimator)
+    fit, profiles = fit_streak(view, estimator)
     contours, fit = smooth_contours(fit)
     _check_contours_inside(contours, image)
     watch.lap("profiles")
     axis = reconstruct_axis(fit, contours, camera, ball_radius)
     watch.lap("axis")
     known = settled(estimator, fit)
+    light = None if estimator.unknowns() else light_caution(profiles, fit, known)
     found = follow_motion(view, known, camera, ball_radius, fit, contours, axis)
     watch.lap("motion")
     uncertainty = covariances(
@@ -124,16 +126,20 @@ def measure(
     result = describe(
         found, uncertainty, ball_radius=ball_radius, exposure=exposure, drift=view.drift
     )
-    return replace(result, estimator=name, timing_s=watch.seconds)
+    warnings = result.warnings if light is None else (*result.warnings, light)
+    return replace(result, estimator=name, warnings=warnings, timing_s=watch.seconds)
 
 
-def fit_streak(view: StreakView, estimator: AlphaEstimator) -> ProfileFit:
+def fit_streak(view: StreakView, estimator: AlphaEstimator) -> tuple[ProfileFit, Profiles]:
     """Fit all profiles of the streak, those that touch the ball's first or last image flagged END.
 
     A first look at some profiles across the rough axis finds the middle of the streak; profiles are
     then laid square to it, closer together, and fitted again, last of all about the smooth course
     of all of them. Where the ball is visibly not of one colour, noise is taken to be as large as
     the misfit, and the opacity may rise from one side to the other as shading makes it.
+
+    Returns:
+        The fit, and the profiles it was made of.
 
     Raises:
         StreakError: when too few profiles are good, or the path turns a corner.
@@ -164,7 +170,7 @@ def fit_streak(view: StreakView, estimator: AlphaEstimator) -> ProfileFit:
     for _ in range(REFINEMENTS):
         fit = refine_profiles(profiles, known, fit, smooth_parameters(fit)[None], skew)
     fit = widen_for_correlation(_widen_for_misfit(fit))
-    return replace(fit, chi2_per_dof=fit.chi2_per_dof * excess)
+    return replace(fit, chi2_per_dof=fit.chi2_per_dof * excess), profiles
 
 
 def _fit_as_seen(

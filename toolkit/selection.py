@@ -123,7 +123,7 @@ def score_estimator(
     across, down = LATTICE
     places = torch.arange(width) * across + torch.arange(height)[:, None] * down
     is_held_out = (places % HELD_OUT == 0)[None, None]
-    fit = fit_streak(replace(view, clipped=view.clipped | is_held_out), estimator)
+    fit, _ = fit_streak(replace(view, clipped=view.clipped | is_held_out), estimator)
     score = _score(view, is_held_out, fit, settled(estimator, fit))
     variance = fit.covariance[0, :, 0, 0] + fit.covariance[0, :, 1, 1]
     return score, float(variance[fit.good[0]].median().sqrt())

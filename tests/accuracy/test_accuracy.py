@@ -61,7 +61,7 @@ def rms(values):
 def edge_errors(shot):
     """Distance from the true contours, px: edges of single profiles, and smooth contours."""
     estimator = Uniform(colour=shot.scene.appearance.colour)
-    fit = fit_streak(observe_streak(shot.image, shot.background, estimator), estimator)
+    fit, _ = fit_streak(observe_streak(shot.image, shot.background, estimator), estimator)
     contours, fit = smooth_contours(fit)
     # the axis may be followed against the motion, which exchanges left and right
     lines = shot.contours(20_000)

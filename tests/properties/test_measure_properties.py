@@ -171,7 +171,7 @@ def test_double_speed_halves_the_opacity(seed):
     for length in (3.0, 6.0):
         shot = rendered(seed, 0.0, 0.2, length, noise=QUIET)
         view = observe_streak(shot.image, shot.background, shot.estimator)
-        fit = fit_streak(view, shot.estimator)
+        fit, _ = fit_streak(view, shot.estimator)
         opacity.append(float(fit.opacity[fit.good].median()))
         speed.append(shot.measure().speed_m_s)
     assert abs(opacity[0] / opacity[1] / 2 - 1) < 0.01

@@ -74,7 +74,7 @@ def test_the_guess_from_the_streaks_shape_is_near(textured):
 
 def test_a_varying_background_tells_the_colour(textured):
     view = observe_streak(textured.image, textured.background, Uniform())
-    found = fit_streak(view, Uniform()).appearance
+    found = fit_streak(view, Uniform())[0].appearance
     truth = torch.tensor(SCENE.appearance.colour, dtype=torch.float64)
     assert found.opacity_std < 0.02
     # an error of the opacity moves the colour found away from the background

@@ -1,10 +1,11 @@
 import math
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 import torch
 
-from toolkit import CalibrationError, LinearImage, MismatchError
+from toolkit import CalibrationError, LinearImage, MismatchError, read_image
 from toolkit.ball import Disc
 from toolkit.disc import find_disc, view_disc
 from toolkit.synthetic import LambertBall, LitBall, PanelledBall, StripedBall, render_shot
@@ -210,3 +211,12 @@ def test_view_of_a_known_disc(sharp_ball):
     outside = Disc(centre=(5.0, 90.0), semi_axes=(30.0, 30.0), angle=0.0, std=0.0)
     with pytest.raises(MismatchError, match=r"disc about \(5, 90\) px is not inside"):
         view_disc(sharp.image, empty, outside)
+
+
+@pytest.mark.shared_data
+def test_real_streak_is_no_resting_ball():
+    folder = Path(__file__).resolve().parents[2].parent / "shared/data/streaks"
+    if not folder.is_dir():
+        pytest.skip("the real pictures are not beside the project")
+    shot, empty = (read_image(folder / f"{n}.png") for n in ("floorball1", "floorball_bgr"))
+    assert refusal(shot, empty).startswith("the ball moved")

@@ -36,7 +36,7 @@ def look(scene, seed=3):
 
 def reconstruct(scene):
     shot, view, estimator = look(scene)
-    contours, fit = smooth_contours(fit_streak(view, estimator))
+    contours, fit = smooth_contours(fit_streak(view, estimator)[0])
     axis = reconstruct_axis(fit, contours, scene.camera, scene.ball_radius)
     return shot, follow_motion(
         view, estimator, scene.camera, scene.ball_radius, fit, contours, axis

@@ -22,7 +22,7 @@ def streak():
     shot = render_shot(scene, seed=2)
     estimator = Uniform(colour=scene.appearance.colour)
     view = observe_streak(shot.image, shot.background, estimator)
-    contours, fit = smooth_contours(fit_streak(view, estimator))
+    contours, fit = smooth_contours(fit_streak(view, estimator)[0])
     axis = reconstruct_axis(fit, contours, scene.camera, scene.ball_radius)
     found = follow_motion(view, estimator, scene.camera, scene.ball_radius, fit, contours, axis)
     return found, scene.camera, scene.ball_radius
