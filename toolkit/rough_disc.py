@@ -219,16 +219,23 @@ def _share_outside(others: NDArray[np.bool_], circle: Circle) -> float:
     return float(np.count_nonzero(outside)) / (math.pi * circle.radius**2)
 
 
+def _largest(regions: Mask) -> NDArray[np.int32]:
+    """Give the outline of the largest region, as OpenCV draws it."""
+    lines, _ = cv2.findContours(regions, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    return np.asarray(max(lines, key=cv2.contourArea), np.int32)
+
+
 def _is_cut(regions: Mask) -> bool:
-    """Tell whether a region lies along the picture's border for a while."""
-    border = (regions[1], regions[-2], regions[:, 1], regions[:, -2])
-    return max(np.count_nonzero(line) for line in border) > MIN_AREA**0.5
+    """Tell whether the largest region lies along the picture's border for a while."""
+    largest = np.zeros_like(regions)
+    cv2.drawContours(largest, [_largest(regions)], -1, 1, cv2.FILLED)
+    border = (largest[1], largest[-2], largest[:, 1], largest[:, -2])
+    return bool(max(np.count_nonzero(line) for line in border) > MIN_AREA**0.5)
 
 
 def _check_no_trail(regions: Mask) -> None:
     """Raise `CalibrationError` where the largest region is the trail of a moving ball."""
-    lines, _ = cv2.findContours(regions, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    largest = max(lines, key=cv2.contourArea)
+    largest = _largest(regions)
     _, sides, _ = cv2.minAreaRect(largest)
     length, width = max(sides) + 1, min(sides) + 1
     # a round trail of constant width fills its hull; what a stick or a hand adds does not
