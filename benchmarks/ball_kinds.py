@@ -24,6 +24,8 @@ given the ball's mean colour. Known shading sees the ball in a sharp picture wit
 cut out as a user would; the pigments' plane is given by the true pigments, or learnt from that
 picture. What is not installed is left out with a word.
 
+Then `auto` is let choose among all three, told all of this; how often it took which is printed.
+
 Columns: median over the shots of the error of the axis' depth (itself the median along the axis, in
 R) and of the speed at mid-exposure; bias of the half width and of the axis' depth (medians with
 their signs); the share of shots whose error lies within 1.96 reported standard deviations for the
@@ -57,6 +59,7 @@ from toolkit import (
     StreakError,
     measure,
     registry,
+    select_estimator,
 )
 from toolkit.ball_colours import learn_colours
 from toolkit.ball_look import lay_out
@@ -280,6 +283,7 @@ def score_kind(kind: Kind, distance: float, shots: int, seed: int) -> Mapping[st
     methods = usable((UNIFORM, *kind.methods))
     scores: dict[str, list[Score]] = {method.label: [] for method in methods}
     refusals: Counter[str] = Counter()
+    choices: Counter[str] = Counter()
     for index in range(shots):
         own_seed = seed * 1000 + index
         shot = draw_shot(kind, distance, own_seed)
@@ -292,6 +296,9 @@ def score_kind(kind: Kind, distance: float, shots: int, seed: int) -> Mapping[st
                     scores[method.label].append(score)
                 elif is_warm:
                     refusals[f"{method.label}: {score}"] += 1
+        choices[choose(shot, known)] += 1
+    chosen = ", ".join(f"{name} {count}" for name, count in choices.most_common())
+    print(f"auto chose {chosen}", flush=True)
     for reason, count in refusals.items():
         print(f"refused {count} x {reason}", flush=True)
     return scores
@@ -312,6 +319,20 @@ def score_method(
     except StreakError as refusal:
         return refusal
     return compare(shot, result, time.process_time() - start)
+
+
+def choose(shot: RenderedShot, known: Mapping[str, object]) -> str:
+    """Give the estimator that `auto` takes, told all that is known about the ball."""
+    estimators = [
+        (method.estimator, registry.build(method.estimator, given=given, options={}))
+        for method in usable((UNIFORM, SHADING, LEARNT))
+        if not isinstance(known[method.facts[0]], CalibrationError)
+        for given in [{fact: known[fact] for fact in method.facts}]
+    ]
+    try:
+        return select_estimator(shot.image, shot.background, estimators, shot.scene.camera).name
+    except StreakError:
+        return "none"
 
 
 def print_rows(name: str, scores: Mapping[str, list[Score]], shots: int) -> None:
