@@ -52,7 +52,8 @@ def check(
     if not report.is_good:
         raise BadOutputError(
             f"{registry.called(type(estimator))} fails {len(report.failed)} of {report.ran} checks "
-            f"({', '.join(report.failed)}); its author must repair it"
+            f"({', '.join(report.failed)}); repair it, or name the ball and the background that it "
+            "is for with --ball-colour and --background-colour"
         )
 
 
