@@ -9,12 +9,12 @@ import inspect
 import re
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields, replace
-from importlib import metadata
 from importlib.metadata import EntryPoint
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
+from toolkit.entry_points import declared, owner, owner_parts, unreadable
 from toolkit.errors import ConfigError, PluginError, ToolkitError
 from toolkit.files import one_line
 from toolkit.option_text import parse_option
@@ -58,9 +58,19 @@ def installed() -> tuple[PluginInfo, ...]:
 
     What shows only when a package is imported is found by `tried`.
     """
-    points = sorted(metadata.entry_points(group=GROUP), key=lambda point: point.name)
+    points = sorted(declared(GROUP), key=lambda point: point.name)
     names = [point.name for point in points]
-    return tuple(_info(point, claims=names.count(point.name)) for point in points)
+    damaged = (
+        PluginInfo(
+            name="?",
+            distribution=distribution,
+            version="?",
+            target="?",
+            problem="its entry points cannot be read; repair or uninstall that package",
+        )
+        for distribution in unreadable()
+    )
+    return (*(_info(point, claims=names.count(point.name)) for point in points), *damaged)
 
 
 def tried(info: PluginInfo) -> PluginInfo:
@@ -89,12 +99,12 @@ def load(name: str) -> "type[AlphaEstimator]":
     except (Exception, SystemExit) as error:
         reason = f"{type(error).__name__}: {one_line(error)}"
         raise PluginError(
-            f"estimator '{name}' of {_owner(point)} cannot be imported ({reason}); "
+            f"estimator '{name}' of {owner(point)} cannot be imported ({reason}); "
             "repair or uninstall that package"
         ) from error
     problem = _contract_problem(loaded)
     if problem is not None:
-        raise PluginError(f"estimator '{name}' of {_owner(point)} {problem}")
+        raise PluginError(f"estimator '{name}' of {owner(point)} {problem}")
     estimator: type[AlphaEstimator] = loaded
     return estimator
 
@@ -174,8 +184,8 @@ def called(estimator: "type[AlphaEstimator]") -> str:
         "estimator 'two-colour'"
     """
     point = _declaration(estimator)
-    owner = "" if point is None else f" of {_owner(point)}"
-    return f"estimator '{name_of(estimator)}'{owner}"
+    whose = "" if point is None else f" of {owner(point)}"
+    return f"estimator '{name_of(estimator)}'{whose}"
 
 
 def missing_fields(
@@ -195,41 +205,34 @@ def missing_fields(
 def _declaration(estimator: type) -> EntryPoint | None:
     """Find the entry point that declares a class."""
     target = f"{estimator.__module__}:{estimator.__qualname__}"
-    points = metadata.entry_points(group=GROUP)
+    points = declared(GROUP)
     return next((point for point in points if point.value == target), None)
 
 
 def _find(name: str) -> EntryPoint:
-    points = [point for point in metadata.entry_points(group=GROUP) if point.name == name]
+    points = [point for point in declared(GROUP) if point.name == name]
     if not points:
-        names = (
-            ", ".join(sorted({point.name for point in metadata.entry_points(group=GROUP)}))
-            or "none"
-        )
+        names = ", ".join(sorted({point.name for point in declared(GROUP)})) or "none"
         raise PluginError(f"no estimator '{name}' is installed; installed are: {names}")
     if len(points) > 1:
-        owners = " and ".join(_owner(point) for point in points)
+        owners = " and ".join(owner(point) for point in points)
         raise PluginError(f"estimator '{name}' is declared by {owners}; uninstall one of them")
     problem = _name_problem(name, claims=1)
     if problem is not None:
-        raise PluginError(f"estimator '{name}' of {_owner(points[0])}: {problem}")
+        raise PluginError(f"estimator '{name}' of {owner(points[0])}: {problem}")
     return points[0]
 
 
 def _info(point: EntryPoint, claims: int) -> PluginInfo:
-    place = _place(point.value)
+    place, (distribution, version) = _place(point.value), owner_parts(point)
     return PluginInfo(
         name=point.name,
-        distribution=point.dist.name if point.dist else "unknown",
-        version=point.dist.version if point.dist else "unknown",
+        distribution=distribution,
+        version=version,
         target=point.value,
         place=place,
         problem=_name_problem(point.name, claims) or _source_problem(point.value, place),
     )
-
-
-def _owner(point: EntryPoint) -> str:
-    return f"{point.dist.name} {point.dist.version}" if point.dist else "an unknown distribution"
 
 
 def _name_problem(name: str, claims: int) -> str | None:

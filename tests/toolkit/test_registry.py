@@ -240,3 +240,20 @@ def test_field_type_that_cannot_be_read(declare):
     declare(source, "good = :Good")
     with pytest.raises(PluginError, match="field type that cannot be read"):
         registry.build("good", given={}, options={})
+
+
+def test_a_damaged_package_is_named_and_stops_nothing_else(tmp_path, monkeypatch):
+    for name, points in (
+        ("damaged", "[toolkit.alpha_estimators]\nno equals sign\n"),
+        ("whole", "[toolkit.alpha_estimators]\nwhole = plugins.uniform:Uniform\n"),
+    ):
+        info = tmp_path / f"{name}-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+        (info / "entry_points.txt").write_text(points)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    found = {info.distribution: info for info in registry.installed()}
+    assert "its entry points cannot be read" in found["damaged"].problem
+    assert found["whole"].problem is None
+    assert registry.load("whole").__name__ == "Uniform"
+    assert "ball-streak-toolkit" in found

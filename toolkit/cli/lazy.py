@@ -3,7 +3,7 @@
 import ast
 from collections.abc import Callable, Mapping
 from difflib import get_close_matches
-from importlib import import_module, metadata
+from importlib import import_module
 from importlib.metadata import EntryPoint
 from importlib.util import find_spec
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from toolkit.entry_points import declared, owner
 from toolkit.errors import ConfigError, PluginError
 from toolkit.files import one_line
 
@@ -77,7 +78,7 @@ class LazyGroup(TyperGroup):
     def _strangers(self) -> list[EntryPoint]:
         if self.entry_points is None:
             return []
-        points = metadata.entry_points(group=self.entry_points)
+        points = declared(self.entry_points)
         return [point for point in points if point.name not in self.built_in]
 
 
@@ -110,8 +111,3 @@ def help_line(target: str) -> str:
     found = [n for n in tree.body if isinstance(n, ast.FunctionDef) and n.name == function]
     text = (ast.get_docstring(found[0]) if found else None) or ast.get_docstring(tree) or ""
     return text.partition("\n")[0]
-
-
-def owner(point: EntryPoint) -> str:
-    """Name the distribution that declares an entry point."""
-    return f"{point.dist.name} {point.dist.version}" if point.dist else "an unknown distribution"
