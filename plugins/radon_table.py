@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from plugins.view_turn import change_of_look, to_angles
 from toolkit import SharpBall
 
 DIRECTIONS = 64
@@ -34,39 +35,43 @@ class RadonTable:
     """Integrals of a disc's colours along its chords, for every direction of the motion.
 
     T directions, O offsets and L places evenly spaced in angle, the latter two with one place more
-    beyond either end; C cells between neighbouring offsets.
+    beyond either end; C cells between neighbouring offsets. Three images follow one another: the
+    colours, and their derivatives in the turn of the view, right and down.
     """
 
-    cumulative: Tensor  # [T, O, L, 3] integral from the trailing rim, over the chord's half length
-    cubics: Tensor  # [T, 4, 3, C] in each cell, of the mean over the whole chord
+    cumulative: Tensor  # [3 T, O, L, 3] integral from the trailing rim, over the half length
+    cubics: Tensor  # [3 T, 4, 3, C] in each cell, of the mean over the whole chord
 
     @classmethod
     def of(cls, ball: SharpBall) -> "RadonTable":
         """Integrate the colours of a sharp ball."""
         phi, psi = (_angles(count) for count in (OFFSETS, PLACES))
         theta = torch.arange(DIRECTIONS // 2) * (2 * math.pi / DIRECTIONS)
-        colour = _colours_along(ball, theta, phi.sin(), phi.cos(), psi.sin())
-        steps = (colour[:, :, 1:] + colour[:, :, :-1]) / 2 * psi.sin().diff()[:, None]
-        half = torch.nn.functional.pad(steps, (0, 0, 1, 0)).cumsum(2)
-        # the opposite motion runs along the same chords backwards, its left being our right
-        opposite = half[:, :, -1:].flip(1) - half.flip(1, 2)
-        cumulative = _with_ghosts(_with_ghosts(torch.cat([half, opposite]), 1), 2)
+        places = _places_along(theta, phi.sin(), phi.cos(), psi.sin())
+        by_angle = to_angles(places)
+        images = [(ball.rgb, places), *((image, by_angle) for image in change_of_look(ball))]
+        integrals = [_integrate(_look_up(*image), psi.sin()) for image in images]
+        cumulative = _with_ghosts(_with_ghosts(torch.cat(integrals), 1), 2)
         neighbours = cumulative[:, :, -2].unfold(1, 4, 1) / 2
         return cls(cumulative=cumulative, cubics=torch.einsum("ij,tcqj->tiqc", KEYS, neighbours))
 
-    def whole(self, offset: Tensor, direction: Tensor) -> tuple[Tensor, Tensor]:
+    def whole(
+        self, offset: Tensor, direction: Tensor, turn: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
         """Give the mean over whole chords and its slope in the offset.
 
         Args:
             offset: -1 to 1, from the left rim to the right one, [..., S].
             direction: of the motion, radians [..., 1].
+            turn: of the view since the sharp picture, radians right and down [..., 1, 2].
 
         Returns:
             Colours and slopes [..., S, 3]; beyond the rim the colour is that of the rim.
         """
-        if direction.numel() > 1:
+        if not _is_one(direction, turn):
             direction = direction.expand(*offset.shape[:-1], 1)
-        cubics = _among_directions(self.cubics.to(offset), direction.flatten())
+            turn = None if turn is None else turn.expand(*offset.shape[:-1], 1, 2)
+        cubics = _mix(self.cubics, *_shares(direction, turn))
         # channels before samples: this runs for every sample in every step of the fit
         samples = offset.numel() // max(len(cubics), 1)
         cell, x, per_offset = _locate(offset.reshape(len(cubics), 1, samples), OFFSETS)
@@ -77,7 +82,12 @@ class RadonTable:
         return value.mT.reshape(*offset.shape, 3), slope.mT.reshape(*offset.shape, 3)
 
     def part(
-        self, offset: Tensor, direction: Tensor, start: float | Tensor, stop: float | Tensor
+        self,
+        offset: Tensor,
+        direction: Tensor,
+        start: float | Tensor,
+        stop: float | Tensor,
+        turn: Tensor | None = None,
     ) -> Tensor:
         """Give the mean over parts of chords [..., S, 3].
 
@@ -86,27 +96,42 @@ class RadonTable:
             direction: radians [..., 1].
             start: where the part begins, -1 the trailing rim, 1 the leading one; broadcast.
             stop: where it ends; the same as start gives the colour of that point.
+            turn: of the view, as in `whole`.
         """
         if _ends_at_rim(start, stop):
-            return self.part(-offset, direction + math.pi, -1.0, -start)
+            return self.part(-offset, direction + math.pi, -1.0, -start, turn)
         row, x, _ = _locate(offset, OFFSETS)
-        return self._over_part(row, _weights(x), direction, start, stop)
+        return self._over_part(row, _weights(x), self._seen(direction, turn), start, stop)
 
     def slope_of_part(
-        self, offset: Tensor, direction: Tensor, start: float | Tensor, stop: float | Tensor
+        self,
+        offset: Tensor,
+        direction: Tensor,
+        start: float | Tensor,
+        stop: float | Tensor,
+        turn: Tensor | None = None,
     ) -> Tensor:
         """Give the slope of `part` in the offset [..., S, 3]."""
         if _ends_at_rim(start, stop):
-            return -self.slope_of_part(-offset, direction + math.pi, -1.0, -start)
+            return -self.slope_of_part(-offset, direction + math.pi, -1.0, -start, turn)
         row, x, per_offset = _locate(offset, OFFSETS)
         across = _slopes(x) * per_offset[..., None]
-        return self._over_part(row, across, direction, start, stop)
+        return self._over_part(row, across, self._seen(direction, turn), start, stop)
+
+    def _seen(self, direction: Tensor, turn: Tensor | None) -> "_Seen":
+        """Choose what is needed; for one direction and turn it is added up at once."""
+        index, shares = _shares(direction, turn)
+        if _is_one(direction, turn):
+            table = _mix(self.cumulative, index, shares)
+            return _Seen(table=table, index=index.new_zeros(1, 1), share=shares.new_ones(1, 1))
+        used, index = index.unique(return_inverse=True)
+        return _Seen(table=self.cumulative[used].to(shares), index=index, share=shares)
 
     def _over_part(
         self,
         row: Tensor,
         across: Tensor,
-        direction: Tensor,
+        seen: "_Seen",
         start: float | Tensor,
         stop: float | Tensor,
     ) -> Tensor:
@@ -114,31 +139,32 @@ class RadonTable:
         begin, end = (torch.as_tensor(place).to(across) for place in (start, stop))
         half = ((end - begin) / 2).abs().clamp(SHORTEST, 1)
         middle = torch.minimum(torch.maximum((begin + end) / 2, half - 1), 1 - half)
-        total = self._until(middle + half, row, across, direction)
+        total = seen.until(middle + half, row, across)
         if isinstance(start, Tensor) or start > -1:
-            total = total - self._until(middle - half, row, across, direction)
+            total = total - seen.until(middle - half, row, across)
         return total / (2 * half[..., None])
 
-    def _until(self, place: Tensor, row: Tensor, across: Tensor, direction: Tensor) -> Tensor:
-        """Integrate from the trailing rim to a place [..., S, 3].
 
-        One direction for all is settled first; of several, each is found between its neighbours.
-        """
-        table = self.cumulative.to(across)
-        index, share = _neighbouring_directions(direction)
-        if direction.numel() == 1:
-            table = _among_directions(table, direction.flatten())
-            index, share = index.new_zeros(1, 1), share.new_ones(1, 1)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Seen:
+    """The K integrals whose sum each chord shows, out of U."""
+
+    table: Tensor  # [U, O, L, 3]
+    index: Tensor  # [..., 1, K]
+    share: Tensor  # [..., 1, K]
+
+    def until(self, place: Tensor, row: Tensor, across: Tensor) -> Tensor:
+        """Integrate from the trailing rim to a place [..., S, 3]."""
         column, y, _ = _locate(place, PLACES)
         weights = (across[..., None] * _weights(y)[..., None, :]).flatten(-2)
         step = torch.arange(4, device=across.device)
         corner = row * (PLACES + 2) + column
         cell = corner[..., None] + (step[:, None] * (PLACES + 2) + step).flatten()
-        colours, size = table.flatten(0, 2), (OFFSETS + 2) * (PLACES + 2)
+        colours, size = self.table.flatten(0, 2), (OFFSETS + 2) * (PLACES + 2)
         terms = [
-            share[..., k, None, None]
-            * (weights[..., None, :] @ colours[cell + size * index[..., k, None]])
-            for k in range(index.shape[-1])
+            self.share[..., k, None, None]
+            * (weights[..., None, :] @ colours[cell + size * self.index[..., k, None]])
+            for k in range(self.index.shape[-1])
         ]
         return torch.stack(terms).sum(0)[..., 0, :]
 
@@ -181,32 +207,64 @@ def _neighbouring_directions(direction: Tensor) -> tuple[Tensor, Tensor]:
     return near % DIRECTIONS, _weights(place - before)
 
 
-def _among_directions(table: Tensor, direction: Tensor) -> Tensor:
-    """Interpolate a table [T, ...] at directions [R]: [R, ...]."""
+def _is_one(direction: Tensor, turn: Tensor | None) -> bool:
+    return direction.numel() == 1 and (turn is None or turn.numel() == 2)
+
+
+def _shares(direction: Tensor, turn: Tensor | None) -> tuple[Tensor, Tensor]:
+    """Say which rows of the table are seen and how much of each, both [..., 1, K].
+
+    Args:
+        direction: [..., 1].
+        turn: [..., 1, 2]; None leaves the derivatives out.
+    """
     index, weights = _neighbouring_directions(direction)
-    mixing = table.new_zeros(len(direction), DIRECTIONS).scatter_(1, index, weights)
-    return (mixing @ table.flatten(1)).reshape(-1, *table.shape[1:])
+    if turn is None:
+        return index, weights
+    index = torch.cat([index + image * DIRECTIONS for image in range(3)], dim=-1)
+    weights = torch.cat([weights, turn[..., :1] * weights, turn[..., 1:] * weights], dim=-1)
+    return index, weights
+
+
+def _mix(table: Tensor, index: Tensor, shares: Tensor) -> Tensor:
+    """Add up shares of a table's rows [..., 1, K]: [R, ...], in the shares' precision."""
+    index, shares = index.flatten(0, -2), shares.flatten(0, -2)
+    # of all rows a straight streak needs a few only
+    used, where = index.unique(return_inverse=True)
+    mixing = shares.new_zeros(len(index), len(used)).scatter_(1, where, shares)
+    return (mixing @ table[used].to(shares).flatten(1)).reshape(len(index), *table.shape[1:])
 
 
 def _angles(count: int) -> Tensor:
     return torch.linspace(-math.pi / 2, math.pi / 2, count)
 
 
-def _colours_along(
-    ball: SharpBall, theta: Tensor, offset: Tensor, half_length: Tensor, place: Tensor
-) -> Tensor:
-    """Look up the disc's colours at every place of every chord, [T, O, L, 3]."""
+def _places_along(theta: Tensor, offset: Tensor, half_length: Tensor, place: Tensor) -> Tensor:
+    """Give every place of every chord on the unit disc, [T, O, L, 2]."""
     tangent = torch.stack([theta.cos(), theta.sin()], dim=-1)[:, None, None]
     normal = torch.stack([-theta.sin(), theta.cos()], dim=-1)[:, None, None]
     across, along = offset[:, None, None], half_length[:, None, None] * place[:, None]
-    points = across * normal + along * tangent
+    return across * normal + along * tangent
+
+
+def _look_up(image: Tensor, places: Tensor) -> Tensor:
+    """Look up an image [3, N, N] that spans -1 to 1 at places [T, O, L, 2]: [T, O, L, 3]."""
     colours = torch.nn.functional.grid_sample(
-        ball.rgb.float()[None],
-        points.flatten(0, 1)[None],
+        image.float()[None],
+        places.flatten(0, 1)[None],
         padding_mode="border",
         align_corners=True,
     )
-    return colours[0].reshape(3, *points.shape[:-1]).movedim(0, -1)
+    return colours[0].reshape(3, *places.shape[:-1]).movedim(0, -1)
+
+
+def _integrate(colour: Tensor, place: Tensor) -> Tensor:
+    """Integrate colours [T / 2, O, L, 3] from the trailing rim on, for all directions."""
+    steps = (colour[:, :, 1:] + colour[:, :, :-1]) / 2 * place.diff()[:, None]
+    half = torch.nn.functional.pad(steps, (0, 0, 1, 0)).cumsum(2)
+    # the opposite motion runs along the same chords backwards, its left being our right
+    opposite = half[:, :, -1:].flip(1) - half.flip(1, 2)
+    return torch.cat([half, opposite])
 
 
 def _with_ghosts(table: Tensor, dim: int) -> Tensor:
