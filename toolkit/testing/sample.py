@@ -19,6 +19,7 @@ from toolkit.synthetic import (
     NoiseLevel,
     PlainBall,
     RenderedShot,
+    Scene,
     StripedBall,
     add_noise,
     benchmark_scene,
@@ -174,7 +175,7 @@ def make_sample(
             gain=torch.full((1, 3), NOISE.gain),
             density=torch.ones(3),
         ),
-        facts={**_facts(scene.appearance), **(facts or {})},
+        facts={**_facts(scene), **(facts or {})},
     )
 
 
@@ -228,10 +229,10 @@ def _expose(shot: RenderedShot, seed: int) -> tuple[LinearImage, LinearImage]:
     )
 
 
-def _facts(appearance: Appearance) -> dict[str, object]:
+def _facts(scene: Scene) -> dict[str, object]:
     """Say what is known about a ball, by the names that estimators use for their fields."""
-    facts: dict[str, object] = {"ball": _seen_sharply(appearance)}
-    colours = pigments(appearance)
+    facts: dict[str, object] = {"ball": _seen_sharply(scene)}
+    colours = pigments(scene.appearance)
     if colours:
         facts["colours"] = colours
     if len(colours) == 1:
@@ -244,8 +245,8 @@ def _facts(appearance: Appearance) -> dict[str, object]:
     return facts
 
 
-def _seen_sharply(appearance: Appearance) -> SharpBall:
-    """Look at a ball at rest, straight ahead at the sample's distance."""
+def _seen_sharply(scene: Scene) -> SharpBall:
+    """Look at a ball at rest, on the camera's axis at the sample's distance."""
     side = torch.linspace(-1, 1, DISC_NODES, dtype=torch.float64)
     y, x = torch.meshgrid(side, side, indexing="ij")
     # nodes beyond the rim show the rim
@@ -256,6 +257,7 @@ def _seen_sharply(appearance: Appearance) -> SharpBall:
     middle = DISTANCE_R * rays[..., 2]
     depth = middle - (middle**2 - DISTANCE_R**2 + 1).clamp_min(0).sqrt()
     normal = depth[..., None] * rays - torch.tensor([0.0, 0.0, DISTANCE_R], dtype=torch.float64)
-    light = appearance(normal.reshape(-1, 3), 0.0).reshape(DISC_NODES, DISC_NODES, 3)
-    disc = Disc(centre=(0.0, 0.0), semi_axes=(WIDTH / 2, WIDTH / 2), angle=0.0, std=0.01)
+    light = scene.appearance(normal.reshape(-1, 3), 0.0).reshape(DISC_NODES, DISC_NODES, 3)
+    axis = (scene.camera.cx, scene.camera.cy)
+    disc = Disc(centre=axis, semi_axes=(WIDTH / 2, WIDTH / 2), angle=0.0, std=0.01)
     return SharpBall(disc=disc, rgb=light.permute(2, 0, 1).float())
