@@ -12,6 +12,7 @@ from toolkit.appearance import guess_appearance
 from toolkit.background import check_pair
 from toolkit.camera import Camera
 from toolkit.camera_file import fit_camera
+from toolkit.common_residual import common_misfit
 from toolkit.contours import (
     check_enough,
     mark_profiles,
@@ -50,6 +51,8 @@ APPEARANCE_ROUNDS = 4
 """Rounds in which what an estimator leaves open is found, before these."""
 MISFIT = 2.0
 """Chi-square per degree of freedom beyond which the ball is not of one colour."""
+MANY_COLOURS = 10.0
+"""The same, from which no one colour can be found in the fit."""
 SHADING = 0.3
 """Standard deviation of the skew that shading may cause."""
 CORNER = math.radians(40)
@@ -169,8 +172,17 @@ def fit_streak(view: StreakView, estimator: AlphaEstimator) -> tuple[ProfileFit,
         known = settled(estimator, fit)
     for _ in range(REFINEMENTS):
         fit = refine_profiles(profiles, known, fit, smooth_parameters(fit)[None], skew)
-    fit = widen_for_correlation(_widen_for_misfit(fit))
-    return replace(fit, chi2_per_dof=fit.chi2_per_dof * excess), profiles
+    misfit = common_misfit(profiles, fit, known, skew)
+    if guess is not None and misfit > MANY_COLOURS:
+        raise StreakError(
+            "the ball is not of one colour that the fit could find: its profiles have another "
+            f"shape, by {misfit:.0f} times the variance of their mean; give --ball-colour, or a "
+            "sharp picture (--ball-image) with --estimator known-shading, or both pigments with "
+            "two-colour"
+        )
+    fit = widen_for_correlation(fit)
+    chi2 = fit.chi2_per_dof * excess
+    return replace(fit, chi2_per_dof=chi2, common_misfit=misfit), profiles
 
 
 def _fit_as_seen(
@@ -246,12 +258,6 @@ def _median_chi2(fit: ProfileFit) -> float:
     """Median over the profiles between the ends, whether or not their search settled."""
     usable = (fit.flags[0] & ~int(ProfileFlag.NOT_CONVERGED)) == 0
     return float(fit.chi2_per_dof[0][usable].median()) if bool(usable.any()) else 1.0
-
-
-def _widen_for_misfit(fit: ProfileFit) -> ProfileFit:
-    """Take the noise for as large as what the profiles miss, where that is more."""
-    remaining = max(float(fit.chi2_per_dof[0][fit.good[0]].median()), 1.0)
-    return replace(fit, covariance=fit.covariance * remaining)
 
 
 def _mark_ends(fit: ProfileFit) -> ProfileFit:

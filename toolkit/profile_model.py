@@ -146,6 +146,17 @@ class ProfileModel:
         self._add_prior(x, rows, gradient, information)
         return gradient, information
 
+    def residuals(self, x: Tensor, rows: Tensor, blur: Tensor) -> tuple[Tensor, Tensor]:
+        """Give model minus observed of the chosen profiles, in standard deviations, [A, Q, S].
+
+        Beside them 1 where something was observed, else 0; a mosaic shows one channel.
+        """
+        residual = self._at(x, rows, blur).residual
+        seen = self.whitening[rows] > 0
+        if seen.shape[1] != residual.shape[1]:
+            seen = seen.any(1, keepdim=True)
+        return residual, seen.to(residual.dtype)
+
     def J_appearance(self, estimator: AlphaEstimator, x: Tensor, rows: Tensor) -> Tensor:
         """Give the derivative of the whitened foreground in the estimator's U unknowns.
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from toolkit.common_residual import MISSHAPEN
 from toolkit.measurement import (
     Alternative,
     Budget,
@@ -204,6 +205,14 @@ def _cautions(
             f"the profiles miss the picture by {misfit:.1f} times the variance of its noise "
             "(shading, a pattern, or a background that changed); "
             "the uncertainties are widened by as much",
+        ),
+        (
+            found.fit.common_misfit > MISSHAPEN,
+            "profiles-misshapen",
+            "all profiles differ alike from the shape that this estimator expects, by "
+            f"{found.fit.common_misfit:.0f} times the variance of their mean (shading, a pattern, "
+            "a wrong colour or response); width and depth may be wrong, and the uncertainties are "
+            "widened; known-shading or two-colour may suit the ball",
         ),
         (
             change > 0,

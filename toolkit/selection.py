@@ -13,6 +13,7 @@ from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator, Chord, Observation
 from toolkit.camera import Camera
+from toolkit.common_residual import misfit_variance
 from toolkit.contours import smooth_parameters
 from toolkit.errors import BadOutputError, StreakError
 from toolkit.guarded import guarded
@@ -126,7 +127,7 @@ def score_estimator(
     fit, _ = fit_streak(replace(view, clipped=view.clipped | is_held_out), estimator)
     score = _score(view, is_held_out, fit, settled(estimator, fit))
     variance = fit.covariance[0, :, 0, 0] + fit.covariance[0, :, 1, 1]
-    return score, float(variance[fit.good[0]].median().sqrt())
+    return score, float((variance[fit.good[0]].median() * misfit_variance(fit)).sqrt())
 
 
 def _score(

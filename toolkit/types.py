@@ -250,6 +250,7 @@ class ProfileFit:
     samples: Tensor  # [B, P] numbers compared in each profile
     iterations: int
     appearance: Appearance | None = None  # what the fit found of the ball's looks
+    common_misfit: float = 1.0  # of all profiles alike, in variances of their mean; 1 is noise
 
     @property
     def good(self) -> Tensor:

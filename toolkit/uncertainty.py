@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from toolkit.camera import Camera
+from toolkit.common_residual import misfit_variance
 from toolkit.motion import DURATION, SPEED, describe_motion, noise_covariance, propagate, repace
 from toolkit.reconstruction import (
     Reconstruction,
@@ -68,7 +69,7 @@ def covariances(
     contradiction = max(abs(float(found.motion.duration) - 1) - allowed, 0.0)
     by_brightness = state * speeds * (contradiction**2 + found.opacity_std**2) ** 0.5
     return Uncertainty(
-        noise=noise,
+        noise=_widened(noise, misfit_variance(found.fit)),
         order=_order_covariance(found, camera, ball_radius),
         camera=_camera_covariance(found, camera, ball_radius),
         radius=torch.outer(by_radius, by_radius),
@@ -81,6 +82,13 @@ def duration_std(found: Reconstruction, noise: Tensor) -> float:
     """Give by how much the duration that opacity and ends tell may differ from 1 by chance."""
     by_colour = 0.0 if found.opacity_std else opacity_doubt(found.fit)
     return float((noise[DURATION, DURATION] + by_colour**2).sqrt())
+
+
+def _widened(noise: Tensor, factor: float) -> Tensor:
+    """Scale the covariance but for the duration, by which colour and exposure are checked."""
+    scale = torch.full_like(noise[0], factor**0.5)
+    scale[DURATION] = 1
+    return scale[:, None] * noise * scale
 
 
 def _noise_covariance(found: Reconstruction, ball_radius: float) -> Tensor:
