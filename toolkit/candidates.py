@@ -38,10 +38,10 @@ def what_is_needed(name: str, ball: KnownBall, options: Mapping[str, str]) -> tu
     estimator = registry.load(name)
     fields = estimator.option_names()
     colours = ball.numbers.get("colours", ())
-    is_many = isinstance(colours, tuple) and len(colours) > 1 and not ball.file
-    if is_many and "colour" in fields and "colours" not in fields:
+    count = len(colours) if isinstance(colours, tuple) and not ball.file else 0
+    if count > 1 and "colour" in fields and "colours" not in fields:
         raise ConfigError(
-            f"{len(colours)} ball colours are given, but estimator '{name}' is for "
+            f"{count} ball colours are given, but estimator '{name}' is for "
             "a ball of one; give one, or choose another --estimator"
         )
     return registry.missing_fields(estimator, dict.fromkeys([*ball.names, *options]))

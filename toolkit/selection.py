@@ -192,5 +192,5 @@ def _learn_colour(profiles: Profiles, alpha: Tensor, share: Tensor, is_shown: Te
         * normal.diagonal(dim1=-2, dim2=-1).mean(-1)[:, None, None]
         * torch.eye(COLOUR_TERMS, dtype=normal.dtype)
     )
-    coefficients = torch.linalg.solve(normal + ridge, right[..., None])[..., 0]
+    coefficients: Tensor = torch.linalg.solve(normal + ridge, right[..., None])[..., 0]
     return powers @ coefficients.mT

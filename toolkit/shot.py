@@ -134,7 +134,8 @@ def measure_shot(shot: ShotInputs) -> Measurement:
         StreakError: when no trustworthy measurement is possible; the text says why.
     """
     start = time.perf_counter()
-    (name, estimator), tried = shot.candidates.ready[0], ()
+    name, estimator = shot.candidates.ready[0]
+    tried: tuple[Candidate, ...] = ()
     if shot.estimator_name == AUTO:
         chosen = select_estimator(
             shot.image, shot.background, shot.candidates.ready, shot.camera, shot.roi

@@ -179,16 +179,13 @@ def _plain_evidence(observation: Observation) -> tuple[Map, Map, Map]:
     The largest change is taken for half covered.
     """
     change = observation.signal - observation.ground
-    weights = 1 / observation.variance
-    seen, expected, energy = 0.0, 0.0, 0.0
-    for channel in range(change.shape[1]):
-        of_channel = slice(channel, channel + 1)
-        weight, moved = weights[:, of_channel], change[:, of_channel]
+    weights, expected = 1 / observation.variance, change.shape[1]
+    seen, energy = (np.zeros(change.shape[-2:], np.float32) for _ in range(2))
+    for weight, moved in zip(weights.split(1, 1), change.split(1, 1), strict=True):
         information = _smooth(weight)
         mean = _smooth(moved * weight) / information.clip(1e-12)
-        seen = seen + mean * mean * information
-        energy = energy + _smooth(moved * moved * weight)
-        expected += 1
+        seen += mean * mean * information
+        energy += _smooth(moved * moved * weight)
     significance = np.sqrt(np.maximum(seen * (4 * math.pi * SMOOTHING**2) - expected, 0))
     likeness = seen / np.maximum(energy - expected, seen).clip(1e-12)
     return significance / (2 * max(float(significance.max()), 1e-12)), significance, likeness
