@@ -185,9 +185,10 @@ def _moment(curve: Curve, s: Tensor, rays: Tensor) -> tuple[Tensor, Tensor]:
 def _chord_offset(curve: Curve, nearest: Tensor, rays: Tensor, ball_radius: float) -> Tensor:
     """Distance of each ray from the path in ball radii [N], positive to the right of the motion."""
     point, tangent = curve.point_and_tangent(nearest)
-    gap: Tensor = torch.linalg.vector_norm(torch.linalg.cross(point, rays), dim=-1) / ball_radius
+    gap = torch.linalg.vector_norm(torch.linalg.cross(point, rays), dim=-1) / ball_radius
     side = (rays * torch.linalg.cross(point, tangent)).sum(-1).sign()
-    return (side * gap).clamp(-1, 1)
+    offset: Tensor = side * gap
+    return offset.clamp(-1, 1)
 
 
 def _direction(curve: Curve, end: Tensor, camera: Camera) -> Tensor:

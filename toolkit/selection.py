@@ -2,7 +2,8 @@
 
 One pixel in eight is kept from every fit. What the fit says of them in full colour, the ball's
 light where it covers them and the background's where it does not, is held against what was seen
-there. That measures any estimator alike, whatever signal it works on. [derived]
+there. That measures any estimator alike. One that works on another signal must foretell that as
+well, and as it knows no colours, these are learnt from the pixels around. [derived]
 """
 
 from collections.abc import Sequence
@@ -32,8 +33,10 @@ OUTLIER = 4.0
 """Standard deviations beyond which a pixel counts no more: dirt must not decide."""
 SAME = 0.05
 """Relative difference of two scores that decides nothing; then the sharper fit is taken."""
-COLOUR_TERMS = 5
-"""Powers of the offset by which the ball's colour is learnt where an estimator knows none."""
+FIELDS = 6
+"""To a half width, in each of which a colour is learnt where an estimator knows none."""
+LEAST_FIELD = 5.0
+"""px."""
 EDGE = 1.15
 """Half widths from the axis up to which pixels are predicted."""
 
@@ -133,10 +136,11 @@ def score_estimator(
 def _score(
     view: StreakView, is_held_out: Tensor, fit: ProfileFit, estimator: AlphaEstimator
 ) -> float:
-    colours = view.colours()
-    seen = _colour_profiles(colours, view, fit)
-    marks = is_held_out.expand_as(colours.signal).to(colours.signal.dtype)
-    held_out = _colour_profiles(replace(colours, signal=marks), view, fit).signal[0, ..., 0]
+    """Score the estimator's own signal, and the colours where they are another."""
+    own = view.observation
+    marks = is_held_out.expand_as(own.signal).to(own.signal.dtype)
+    hidden = _lay_out(replace(own, signal=marks), view, fit).signal[0, ..., 0] > 0
+    seen = _lay_out(own, view, fit)
     alpha, share = _predict_opacity(seen, fit)
     is_near = (share.abs() < EDGE) & seen.valid[0] & fit.good[0][:, None]
     chord = Chord(
@@ -144,29 +148,38 @@ def _score(
         direction=seen.direction[0][:, None],
         place=seen.origin[0][:, None],
     )
-    ground, variance = seen.ground[0], seen.variance[0]
-    if torch.equal(view.observation.signal, colours.signal):
-        colour = estimator.foreground(chord, None)
-    else:
-        is_shown = is_near & (held_out == 0)
-        colour = _learn_colour(seen, alpha, share.clamp(-1, 1), is_shown)
-    error = alpha[..., None] * colour + (1 - alpha[..., None]) * ground - seen.signal[0]
+    counted, colours = is_near & hidden, view.colours()
+    score = _mean_error(seen, alpha, estimator.foreground(chord, None), counted)
+    if torch.equal(own.signal, colours.signal):
+        return score
+    seen = _lay_out(colours, view, fit)
+    half_width = _typical_half_width(fit)
+    learnt = _learn_colour(seen, alpha, share, half_width, is_near & ~hidden)
+    return max(score, _mean_error(seen, alpha, learnt, counted))
+
+
+def _mean_error(profiles: Profiles, alpha: Tensor, ball: Tensor, counted: Tensor) -> float:
+    """Mean squared error over noise of what is foretold of the pixels counted [P, S]."""
+    ground, variance = profiles.ground[0], profiles.variance[0]
+    error = alpha[..., None] * ball + (1 - alpha[..., None]) * ground - profiles.signal[0]
     squared = (error * error / variance).clamp(max=OUTLIER**2)
-    counted = (is_near & (held_out > 0))[..., None] & torch.isfinite(variance)
-    return float(squared[counted].mean())
+    return float(squared[counted[..., None] & torch.isfinite(variance)].mean())
 
 
-def _colour_profiles(observation: Observation, view: StreakView, fit: ProfileFit) -> Profiles:
+def _lay_out(observation: Observation, view: StreakView, fit: ProfileFit) -> Profiles:
     """Lay the pixels along the same profiles as the fit's."""
-    half_width = float(fit.half_width[0][fit.good[0]].median())
     return gather_profiles(
         observation,
         view.clipped,
         fit.origin,
-        PROFILE_REACH * half_width + 4,
+        PROFILE_REACH * _typical_half_width(fit) + 4,
         corner=view.corner,
         spacing=float(fit.position[0].diff().mean()),
     )
+
+
+def _typical_half_width(fit: ProfileFit) -> float:
+    return float(fit.half_width[0][fit.good[0]].median())
 
 
 def _predict_opacity(profiles: Profiles, fit: ProfileFit) -> tuple[Tensor, Tensor]:
@@ -179,18 +192,25 @@ def _predict_opacity(profiles: Profiles, fit: ProfileFit) -> tuple[Tensor, Tenso
     return alpha, (offset - centre) / half_width
 
 
-def _learn_colour(profiles: Profiles, alpha: Tensor, share: Tensor, is_shown: Tensor) -> Tensor:
-    """Find the ball's mean colour across the streak from the pixels shown, [P, S, 3]."""
-    powers = torch.stack([share**power for power in range(COLOUR_TERMS)], dim=-1)
-    design = alpha[..., None] * powers
+def _learn_colour(
+    profiles: Profiles, alpha: Tensor, share: Tensor, half_width: float, is_shown: Tensor
+) -> Tensor:
+    """Find the ball's colour at every pixel from those shown near by, [P, S, 3].
+
+    Near by is within a field of the streak, FIELDS to a half width, of 5 px at least: a pattern
+    that turns with the ball changes along the streak.
+    """
+    field = max(half_width / FIELDS, LEAST_FIELD)
+    row = (profiles.position[0] / field).long()
+    column = ((share / EDGE + 1) * half_width / field).long().clamp_min(0)
+    columns = int(column.max()) + 1
+    index = (row[:, None] * columns + column).flatten()
     rest = profiles.signal[0] - (1 - alpha[..., None]) * profiles.ground[0]
     weight = is_shown[..., None] / profiles.variance[0]
-    normal = torch.einsum("psk,psc,psl->ckl", design, weight, design)
-    right = torch.einsum("psk,psc,psc->ck", design, weight, rest)
-    ridge = (
-        1e-9
-        * normal.diagonal(dim1=-2, dim2=-1).mean(-1)[:, None, None]
-        * torch.eye(COLOUR_TERMS, dtype=normal.dtype)
-    )
-    coefficients: Tensor = torch.linalg.solve(normal + ridge, right[..., None])[..., 0]
-    return powers @ coefficients.mT
+    size = int(index.max()) + 1
+    colours = []
+    for rest_of, weight_of in zip(rest.unbind(-1), weight.unbind(-1), strict=True):
+        total = torch.bincount(index, (weight_of * alpha * rest_of).flatten(), size)
+        norm = torch.bincount(index, (weight_of * alpha * alpha).flatten(), size)
+        colours.append((total / norm.clamp_min(1e-12))[index].reshape(alpha.shape))
+    return torch.stack(colours, dim=-1)

@@ -342,7 +342,7 @@ def _choice(tried: tuple[Candidate, ...]) -> tuple[Caution, ...]:
         return ()
     best, *others = tried
     rest = "; ".join(
-        f"{other.estimator} {other.reason}"
+        f"{other.estimator}: {other.reason}"
         if other.score is None
         else f"{other.estimator} {other.score:.2f}"
         for other in others

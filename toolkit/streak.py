@@ -181,7 +181,7 @@ def _plain_evidence(observation: Observation) -> tuple[Map, Map, Map]:
     change = observation.signal - observation.ground
     weights, expected = 1 / observation.variance, change.shape[1]
     seen, energy = (np.zeros(change.shape[-2:], np.float32) for _ in range(2))
-    for weight, moved in zip(weights.split(1, 1), change.split(1, 1), strict=True):
+    for weight, moved in zip(torch.split(weights, 1, 1), torch.split(change, 1, 1), strict=True):
         information = _smooth(weight)
         mean = _smooth(moved * weight) / information.clip(1e-12)
         seen += mean * mean * information
