@@ -1,6 +1,6 @@
 """Choosing among estimators by how well each predicts pixels that it was not shown.
 
-One pixel in eight is kept from every fit. What the fit says of them in full colour, the ball's
+One pixel in seven is kept from every fit. What the fit says of them in full colour, the ball's
 light where it covers them and the background's where it does not, is held against what was seen
 there. That measures any estimator alike. One that works on another signal must foretell that as
 well, and as it knows no colours, these are learnt from the pixels around. [derived]
@@ -26,8 +26,8 @@ from toolkit.streak import ROI
 from toolkit.types import LinearImage, ProfileFit, Profiles
 from toolkit.view import StreakView, observe_streak
 
-HELD_OUT = 8
-"""One pixel in so many, on a lattice that meets every place of a mosaic's pattern."""
+HELD_OUT = 7
+"""One pixel in so many; odd, so that the lattice meets every place of a mosaic's pattern."""
 LATTICE = (1, 3)
 OUTLIER = 4.0
 """Standard deviations beyond which a pixel counts no more: dirt must not decide."""

@@ -6,7 +6,7 @@ import torch
 from plugins.known_shading import KnownShading
 from plugins.two_colour import TwoColour
 from plugins.uniform import Uniform
-from toolkit import StreakError, select_estimator
+from toolkit import LinearImage, StreakError, select_estimator
 from toolkit.ball_look import look_at_ball
 from toolkit.selection import score_estimator
 from toolkit.synthetic import (
@@ -103,3 +103,23 @@ def test_nothing_suitable_is_refused_with_every_reason(plain):
         select_estimator(
             nothing, plain.background, [("uniform", Uniform(colour=COLOUR))], SCENE.camera
         )
+
+
+@pytest.mark.parametrize("pattern", [((0, 1), (1, 2)), ((1, 0), (2, 1)), ((1, 2), (0, 1))])
+def test_a_mosaic_of_any_layout_is_scored(striped, pattern):
+    raw = [
+        LinearImage(
+            mosaic=mosaicked(picture.rgb, pattern), pattern=pattern, clipped=picture.clipped
+        )
+        for picture in (striped.image, striped.background)
+    ]
+    estimator = TwoColour(colours=(RED, BLUE))
+    score, _ = score_estimator(*raw, estimator, SCENE.camera)
+    assert 0.2 < score < 2
+
+
+def mosaicked(rgb, pattern):
+    """Keep of every pixel the channel that a mosaic measures."""
+    height, width = rgb.shape[-2:]
+    channel = torch.tensor(pattern)[torch.arange(height)[:, None] % 2, torch.arange(width) % 2]
+    return rgb.gather(1, channel[None, None])
