@@ -60,7 +60,7 @@ class KnownShading(AlphaEstimator):
         """Give the estimator that knows how the camera's view of the ball turns along the path."""
         _ = self.table  # made before it is copied, for every shot
         seen = copy.copy(self)
-        object.__setattr__(seen, "view_turn", ViewTurn.of(camera, self.ball.disc.centre))
+        object.__setattr__(seen, "view_turn", ViewTurn.of(camera, self.ball.disc))
         return seen
 
     def observe(
@@ -91,7 +91,7 @@ class KnownShading(AlphaEstimator):
         return chord.offset, direction, chord.start, chord.stop, self._turn(chord)
 
     def _turn(self, chord: Chord) -> Tensor | None:
-        """Say by how much the view of the ball has turned [..., 1, 2], where that is known."""
+        """Say by how much the view of the ball has turned [..., 1, 3], where that is known."""
         if self.view_turn is None or chord.place is None:
             return None
         return self.view_turn.at(chord.place.to(chord.offset))

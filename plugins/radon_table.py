@@ -35,12 +35,12 @@ class RadonTable:
     """Integrals of a disc's colours along its chords, for every direction of the motion.
 
     T directions, O offsets and L places evenly spaced in angle, the latter two with one place more
-    beyond either end; C cells between neighbouring offsets. Three images follow one another: the
-    colours, and their derivatives in the turn of the view, right and down.
+    beyond either end; C cells between neighbouring offsets. Four images follow one another: the
+    colours, and their derivatives in the turn of the view, right and down, and in nearness.
     """
 
-    cumulative: Tensor  # [3 T, O, L, 3] integral from the trailing rim, over the half length
-    cubics: Tensor  # [3 T, 4, 3, C] in each cell, of the mean over the whole chord
+    cumulative: Tensor  # [4 T, O, L, 3] integral from the trailing rim, over the half length
+    cubics: Tensor  # [4 T, 4, 3, C] in each cell, of the mean over the whole chord
 
     @classmethod
     def of(cls, ball: SharpBall) -> "RadonTable":
@@ -49,8 +49,13 @@ class RadonTable:
         theta = torch.arange(DIRECTIONS // 2) * (2 * math.pi / DIRECTIONS)
         places = _places_along(theta, phi.sin(), phi.cos(), psi.sin())
         by_angle = to_angles(places)
-        images = [(ball.rgb, places), *((image, by_angle) for image in change_of_look(ball))]
-        integrals = [_integrate(_look_up(*image), psi.sin()) for image in images]
+        right, down = (_look_up(image, by_angle) for image in change_of_look(ball))
+        # a sharp picture sees each place along a ray of its own; a pixel of the streak sees all of
+        # its chord along one ray, from which those of the picture are turned back and forth
+        along = phi.cos()[:, None] * psi.sin()
+        forward = theta.cos()[:, None, None, None] * right + theta.sin()[:, None, None, None] * down
+        images = (_look_up(ball.rgb, places), right, down, -along[..., None] * forward)
+        integrals = [_integrate(image, psi.sin()) for image in images]
         cumulative = _with_ghosts(_with_ghosts(torch.cat(integrals), 1), 2)
         neighbours = cumulative[:, :, -2].unfold(1, 4, 1) / 2
         return cls(cumulative=cumulative, cubics=torch.einsum("ij,tcqj->tiqc", KEYS, neighbours))
@@ -63,14 +68,15 @@ class RadonTable:
         Args:
             offset: -1 to 1, from the left rim to the right one, [..., S].
             direction: of the motion, radians [..., 1].
-            turn: of the view since the sharp picture, radians right and down [..., 1, 2].
+            turn: of the view since the sharp picture, right and down, and the ball's own radius,
+                radians [..., 1, 3].
 
         Returns:
             Colours and slopes [..., S, 3]; beyond the rim the colour is that of the rim.
         """
         if not _is_one(direction, turn):
             direction = direction.expand(*offset.shape[:-1], 1)
-            turn = None if turn is None else turn.expand(*offset.shape[:-1], 1, 2)
+            turn = None if turn is None else turn.expand(*offset.shape[:-1], 1, -1)
         cubics = _mix(self.cubics, *_shares(direction, turn))
         # channels before samples: this runs for every sample in every step of the fit
         samples = offset.numel() // max(len(cubics), 1)
@@ -208,7 +214,7 @@ def _neighbouring_directions(direction: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _is_one(direction: Tensor, turn: Tensor | None) -> bool:
-    return direction.numel() == 1 and (turn is None or turn.numel() == 2)
+    return direction.numel() == 1 and (turn is None or turn.shape[:-1].numel() == 1)
 
 
 def _shares(direction: Tensor, turn: Tensor | None) -> tuple[Tensor, Tensor]:
@@ -216,14 +222,15 @@ def _shares(direction: Tensor, turn: Tensor | None) -> tuple[Tensor, Tensor]:
 
     Args:
         direction: [..., 1].
-        turn: [..., 1, 2]; None leaves the derivatives out.
+        turn: [..., 1, 3]; None leaves the derivatives out.
     """
     index, weights = _neighbouring_directions(direction)
     if turn is None:
         return index, weights
-    index = torch.cat([index + image * DIRECTIONS for image in range(3)], dim=-1)
-    weights = torch.cat([weights, turn[..., :1] * weights, turn[..., 1:] * weights], dim=-1)
-    return index, weights
+    parts = turn.shape[-1]
+    index = torch.cat([index + image * DIRECTIONS for image in range(1 + parts)], dim=-1)
+    shares = [turn[..., part, None] * weights for part in range(parts)]
+    return index, torch.cat([weights, *shares], dim=-1)
 
 
 def _mix(table: Tensor, index: Tensor, shares: Tensor) -> Tensor:

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from toolkit import Camera, SharpBall
+from toolkit.ball import Disc
 
 NODES = 33
 """Along a side of the picture, at which viewing rays are found; those between are interpolated."""
@@ -31,30 +32,42 @@ class ViewTurn:
     turns: Tensor  # [1, 2, NODES, NODES] radians, right and down
     width: int  # px of the picture
     height: int
+    radius: float  # radians, of the ball in the sharp picture
 
     @classmethod
-    def of(cls, camera: Camera, reference: tuple[float, float]) -> "ViewTurn":
-        """Measure turns from the view of the pixel `reference`; 0 where the lens shows nothing."""
+    def of(cls, camera: Camera, disc: Disc) -> "ViewTurn":
+        """Measure turns from the view of a sharp ball's disc; 0 where the lens shows nothing."""
         x, y = (
             torch.linspace(0, size - 1, NODES, dtype=torch.float64)
             for size in (camera.width, camera.height)
         )
         rays = camera.unproject(torch.stack(torch.meshgrid(x, y, indexing="xy"), dim=-1))
-        view = camera.unproject(torch.tensor(reference, dtype=torch.float64))
+        outline = torch.tensor([[0.0, 0.0], [0.0, 1.0], [0.0, -1.0]], dtype=torch.float64)
+        view, top, bottom = camera.unproject(disc.from_unit(outline))
         # the picture's axes, carried from the middle of the view by the smallest rotation
         axes = torch.eye(3, dtype=torch.float64)
         right, down = (axis - (axis @ view) / (1 + view[2]) * (view + axes[2]) for axis in axes[:2])
         turns = torch.nan_to_num(rays @ torch.stack([right, down], dim=-1))
-        return cls(turns=turns.movedim(-1, 0)[None], width=camera.width, height=camera.height)
+        radius = float(torch.nan_to_num((top - bottom) @ down).abs()) / 2
+        return cls(
+            turns=turns.movedim(-1, 0)[None],
+            width=camera.width,
+            height=camera.height,
+            radius=radius,
+        )
 
     def at(self, place: Tensor) -> Tensor:
-        """Give the turn at pixels [..., 2]; beyond the picture's border, that at the border."""
+        """Give the turn at pixels [..., 2] and the ball's radius, [..., 3].
+
+        Beyond the picture's border the turn is that at the border.
+        """
         size = torch.tensor([self.width - 1, self.height - 1], dtype=place.dtype)
         grid = (2 * place / size - 1).reshape(1, 1, -1, 2)
         turns = torch.nn.functional.grid_sample(
             self.turns.to(place), grid, padding_mode="border", align_corners=True
         )
-        return turns[0, :, 0].mT.reshape(place.shape)
+        turns = turns[0, :, 0].mT.reshape(place.shape)
+        return torch.nn.functional.pad(turns, (0, 1), value=self.radius)
 
 
 def change_of_look(ball: SharpBall) -> tuple[Tensor, Tensor]:
