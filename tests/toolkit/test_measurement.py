@@ -25,7 +25,7 @@ from toolkit.measurement import (
 KEYS = (
     "schema version status reason inputs estimator stage time_s position_m position_std_m "
     "velocity_m_s direction speed_m_s speed_std_m_s speed_upper_m_s state_covariance sign "
-    "trajectory contours profiles budget bound fit provenance warnings timing_s"
+    "trajectory contours profiles budget bound fit candidates provenance warnings timing_s"
 ).split()
 
 
