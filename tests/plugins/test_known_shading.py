@@ -8,6 +8,7 @@ import torch
 from plugins.known_shading import KnownShading
 from plugins.radon_table import DIRECTIONS, RadonTable
 from plugins.uniform import Uniform
+from plugins.view_turn import ViewTurn, change_of_look, to_angles
 from toolkit import Camera, Chord, ConfigError, LinearImage, NoiseModel, measure
 from toolkit.ball import Disc, SharpBall
 from toolkit.registry import build
@@ -22,23 +23,34 @@ from toolkit.synthetic import (
 
 DISC = Disc(centre=(40.0, 30.0), semi_axes=(20.0, 20.0), angle=0.0, std=0.05)
 SHINY = LambertBall(colour=(0.8, 0.4, 0.1), light=(-0.9, -0.3, -0.4), highlight=0.5)
+MATT = LambertBall(colour=(0.8, 0.6, 0.1), light=(-0.5, -0.4, -0.75), ambient=0.4)
 NOISE = NoiseModel(
     read_variance=torch.full((1, 3), 1e-4), gain=torch.zeros(1, 3), density=torch.ones(3)
 )
 
 
-def light_at(appearance, x, y):
-    """What a distant ball shows at places on its unit disc; beyond the rim, that of the rim."""
-    reach = torch.hypot(x, y).clamp_min(1)
-    x, y = x / reach, y / reach
-    normal = torch.stack([x, y, -(1 - x * x - y * y).clamp_min(0).sqrt()], dim=-1)
-    return appearance(normal.reshape(-1, 3), 0.0).reshape(*x.shape, 3)
+def light_at(appearance, x, y, view=(0.0, 0.0, 1.0), radius=0.0):
+    """What a ball shows at places on its unit disc; beyond the rim, that of the rim.
+
+    It is seen along `view` and appears under the angle 2 `radius`: from afar where that is 0.
+    """
+    view = torch.nn.functional.normalize(torch.tensor(view, dtype=x.dtype), dim=0)
+    axes = torch.eye(3, dtype=x.dtype)
+    right, down = (e - (e @ view) / (1 + view[2]) * (view + axes[2]) for e in axes[:2])
+    reach = torch.hypot(x, y)
+    # the ray is inclined too, and meets the surface nearer to the middle by as much
+    angle = torch.asin(reach.clamp_max(1)) - radius * reach.clamp_max(1)
+    shorter = angle.sin() / reach.clamp_min(1e-12)
+    x, y = ((x * shorter)[..., None], (y * shorter)[..., None])
+    normal = x * right + y * down - angle.cos()[..., None] * view
+    return appearance(normal.reshape(-1, 3), 0.0).reshape(normal.shape)
 
 
-def sharp(appearance, size=257):
+def sharp(appearance, size=257, disc=DISC, **seen):
     places = torch.linspace(-1, 1, size, dtype=torch.float64)
     y, x = torch.meshgrid(places, places, indexing="ij")
-    return SharpBall(disc=DISC, rgb=light_at(appearance, x, y).movedim(-1, 0).float())
+    light = light_at(appearance, x, y, **seen)
+    return SharpBall(disc=disc, rgb=light.movedim(-1, 0).float())
 
 
 def by_quadrature(appearance, offset, direction, start, stop, count=2000):
@@ -240,6 +252,118 @@ def streak(heading):
         background=flat_background(220, 220, (0.3, 0.3, 0.3)),
         blur=0.3,
     )
+
+
+@pytest.mark.parametrize("turn", [(0.001, 0.0), (0.05, -0.03), (-0.06, -0.06)])
+def test_a_turned_view_shows_another_part_of_the_ball(turn):
+    places = torch.linspace(-1, 1, 101, dtype=torch.float64)
+    y, x = torch.meshgrid(places, places, indexing="ij")
+    x, y = (values[torch.hypot(x, y) < 1] for values in (x, y))
+    before, after = light_at(MATT, x, y), light_at(MATT, x, y, view=(*turn, 1.0))
+    grid = to_angles(torch.stack([x, y], dim=-1)).float()[None, None]
+    foretold = before
+    for part, image in zip(turn, change_of_look(sharp(MATT)), strict=True):
+        change = torch.nn.functional.grid_sample(image[None], grid, align_corners=True)
+        foretold = foretold + part * change[0, :, 0].mT
+    shift = (after - before).pow(2).mean().sqrt()
+    assert float((after - foretold).pow(2).mean().sqrt()) < 0.2 * float(shift)
+
+
+def test_turns_of_the_view_are_angles():
+    camera = Camera.centred(401, 301, 500.0, distortion=(-0.1, 0.02, 0.0, 0.0))
+    disc = Disc(centre=(230.0, 140.0), semi_axes=(10.0, 10.0), angle=0.0, std=0.05)
+    view_turn = ViewTurn.of(camera, disc)
+    place = torch.tensor([[230.0, 140.0], [300.0, 140.0], [230.0, 40.0]], dtype=torch.float64)
+    found = view_turn.at(place)
+    rays = camera.unproject(place)
+    sine = torch.linalg.cross(rays[:1].expand(3, 3), rays).norm(dim=-1)
+    assert found[:, :2].norm(dim=-1) == pytest.approx(sine.numpy(), abs=3e-4)
+    assert found[0, :2].tolist() == pytest.approx([0, 0], abs=3e-4)
+    assert float(found[1, 0]) > 0.1
+    assert float(found[2, 1]) < -0.1
+    assert found[:, 2] == pytest.approx(10 / 500, rel=0.02)
+
+
+def test_no_view_turns_where_the_lens_shows_nothing():
+    folded = Camera.centred(401, 301, 150.0, distortion=(-0.4, 0.0, 0.0, 0.0))
+    turns = ViewTurn.of(folded, DISC).turns
+    assert torch.isfinite(turns).all()
+    assert float(turns[0, :, 0, 0].abs().max()) == 0
+
+
+@pytest.mark.parametrize("away", [-80.0, 100.0])
+def test_streaks_far_from_the_sharp_ball_are_foretold(away):
+    """Brute force at 50 R, 40 px wide: the lamp stays while the view turns."""
+    radius, distance, heading = 0.05, 2.5, 0.4
+    along_x, along_y = math.cos(heading), math.sin(heading)
+    camera = Camera.centred(280, 200, 20 * math.sqrt(50**2 - 1))
+    scene = Scene(
+        camera=camera,
+        path=StraightPath(
+            start=(-0.3 * along_x, -0.3 * along_y, distance),
+            start_velocity=(30 * along_x, 30 * along_y, 0.0),
+        ),
+        ball_radius=radius,
+        exposure=0.02,
+        appearance=MATT,
+        background=flat_background(280, 200, (0.3, 0.3, 0.3)),
+        blur=0.0,
+    )
+    shot = render_shot(scene, step=0.4)
+    middle = torch.tensor([139.5, 99.5], dtype=torch.float64)
+    step = torch.tensor([along_x, along_y], dtype=torch.float64)
+    rows, columns = shot.alpha.shape
+    y, x = torch.meshgrid(torch.arange(rows), torch.arange(columns), indexing="ij")
+    seen_from = torch.stack([x, y], dim=-1) - middle
+    along, across = seen_from @ step, seen_from @ torch.stack([-step[1], step[0]])
+    seen = ((along - away / 2).abs() < 3) & (across.abs() < 18.5)
+    disc = Disc(
+        centre=tuple((middle - away / 2 * step).tolist()), semi_axes=(20, 20), angle=0, std=0
+    )
+    ray = camera.unproject(torch.tensor(disc.centre, dtype=torch.float64))
+    ball = sharp(MATT, disc=disc, view=tuple(ray.tolist()), radius=1 / 50)
+    chord = Chord(
+        offset=across[seen] / 20,
+        direction=torch.tensor([heading]),
+        place=(middle + away / 2 * step)[None],
+    )
+    light = (shot.clean_image - (1 - shot.alpha) * 0.3)[:, seen] / shot.alpha[seen]
+    blind = KnownShading(ball=ball)
+    errors = [
+        float((one.foreground(chord, None).mT - light).abs().max())
+        for one in (blind, blind.seen_through(camera))
+    ]
+    assert errors[0] > 0.015
+    assert errors[1] < 0.15 * errors[0]
+
+
+def test_the_camera_is_no_option_and_the_table_is_kept(estimator):
+    seen = estimator.seen_through(Camera.centred(80, 60, 400.0))
+    assert KnownShading.option_names() == ("ball",)
+    assert seen.table is estimator.table
+    assert estimator.view_turn is None
+    offset, direction, _, _ = random_chords()
+    chord = Chord(offset=offset, direction=direction)
+    assert torch.equal(seen.foreground(chord, None), estimator.foreground(chord, None))
+
+
+@pytest.mark.parametrize("is_part", [False, True])
+def test_places_are_seen_alike_alone_and_together(estimator, is_part):
+    seen = estimator.seen_through(Camera.centred(80, 60, 400.0))
+    offset, direction, start, stop = random_chords(count=20)
+    offset = 0.99 * offset
+    place = 60 * torch.rand(20, 1, 2, generator=torch.Generator().manual_seed(3)).double()
+    ends = {"start": start, "stop": stop} if is_part else {}
+    chord = Chord(offset=offset, direction=direction, place=place, **ends)
+    value, slope = seen.foreground_and_slope(chord)
+    assert not torch.allclose(value, estimator.foreground(chord, None), atol=1e-3)
+    for i in range(20):
+        own = {name: cut[i] for name, cut in ends.items()}
+        one = Chord(offset=offset[i], direction=direction[i], place=place[i], **own)
+        assert torch.allclose(value[i], seen.foreground(one, None), atol=1e-6)
+    step = 1e-6
+    above, below = (seen.foreground(replace(chord, offset=offset + h), None) for h in (step, -step))
+    assert torch.allclose(slope, (above - below) / (2 * step), atol=1e-5)
 
 
 def test_a_shaded_ball_is_measured_where_one_colour_misses_it():
