@@ -23,13 +23,14 @@ from toolkit.contours import (
 )
 from toolkit.ends import rough_ends
 from toolkit.errors import ConfigError, StreakError
+from toolkit.following import follow_motion
 from toolkit.guarded import guarded
 from toolkit.light_change import light_caution
 from toolkit.measurement import Measurement
 from toolkit.profile_fit import BLUR_ROUNDS, fit_profiles, improve_appearance, refine_profiles
 from toolkit.profile_model import KNOWN_SKEW, Skew
 from toolkit.profiles import axis_bend, gather_profiles
-from toolkit.reconstruction import follow_motion, reconstruct_axis
+from toolkit.reconstruction import reconstruct_axis
 from toolkit.registry import name_of
 from toolkit.result import describe
 from toolkit.streak import ROI, refine_axis

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from toolkit.common_residual import MISSHAPEN
+from toolkit.following import Reconstruction, opacity_doubt
 from toolkit.measurement import (
     Alternative,
     Budget,
@@ -20,7 +21,6 @@ from toolkit.measurement import (
     numbers,
 )
 from toolkit.motion import DEPTH, PATH, SPEED, Motion
-from toolkit.reconstruction import Reconstruction, opacity_doubt
 from toolkit.types import ProfileFit
 from toolkit.uncertainty import Uncertainty, duration_std
 

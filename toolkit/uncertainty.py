@@ -7,14 +7,9 @@ from torch import Tensor
 
 from toolkit.camera import Camera
 from toolkit.common_residual import misfit_variance
+from toolkit.following import Reconstruction, opacity_data, opacity_doubt, refit_flight
 from toolkit.motion import DURATION, SPEED, describe_motion, noise_covariance, propagate, repace
-from toolkit.reconstruction import (
-    Reconstruction,
-    opacity_data,
-    opacity_doubt,
-    refit_axis,
-    refit_flight,
-)
+from toolkit.reconstruction import refit_axis
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,7 +103,7 @@ def _order_covariance(found: Reconstruction, camera: Camera, ball_radius: float)
     state, is_even = found.motion.state(), found.pace.basis.size == 1
     if found.flight is not None or (found.axis.curve.is_line and is_even):
         return torch.zeros(len(state), len(state), dtype=state.dtype)
-    finer = refit_axis(found, camera, ball_radius, extra=2)
+    finer = refit_axis(found.fit, found.axis.curve, found.opacity.s, camera, ball_radius, extra=2)
     basis = replace(found.pace.basis, size=found.pace.basis.size + 2)
     pace = repace(finer, found.opacity, replace(found.pace, basis=basis), ball_radius)
     change = describe_motion(finer, pace, found.ends.s).state() - state
@@ -126,7 +121,7 @@ def _camera_covariance(found: Reconstruction, camera: Camera, ball_radius: float
         shifted = camera.with_parameters(camera.parameters + shift)
         if found.flight is not None:
             return refit_flight(found, found.flight, shifted, ball_radius).motion().state()
-        curve = refit_axis(found, shifted, ball_radius)
+        curve = refit_axis(found.fit, found.axis.curve, found.opacity.s, shifted, ball_radius)
         data = opacity_data(found.fit, found.opacity.s, shifted)
         pace = repace(curve, data, found.pace, ball_radius)
         return describe_motion(curve, pace, found.ends.s).state()

@@ -9,13 +9,9 @@ import torch
 from plugins.uniform import Uniform
 from toolkit.alpha import Observation
 from toolkit.contours import smooth_contours
+from toolkit.following import follow_motion, refit_flight, surroundings
 from toolkit.pipeline import fit_streak
-from toolkit.reconstruction import (
-    follow_motion,
-    reconstruct_axis,
-    refit_flight,
-    surroundings,
-)
+from toolkit.reconstruction import reconstruct_axis
 from toolkit.synthetic import CircularPath, NoiseLevel, benchmark_scene, render_shot
 from toolkit.uncertainty import SPEED, covariances
 from toolkit.view import observe_streak
