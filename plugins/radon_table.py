@@ -130,7 +130,7 @@ class RadonTable:
         if _is_one(direction, turn):
             table = _mix(self.cumulative, index, shares)
             return _Seen(table=table, index=index.new_zeros(1, 1), share=shares.new_ones(1, 1))
-        used, index = index.unique(return_inverse=True)
+        used, index = _distinct(index)
         return _Seen(table=self.cumulative[used].to(shares), index=index, share=shares)
 
     def _over_part(
@@ -233,11 +233,17 @@ def _shares(direction: Tensor, turn: Tensor | None) -> tuple[Tensor, Tensor]:
     return index, torch.cat([weights, *shares], dim=-1)
 
 
+def _distinct(index: Tensor) -> tuple[Tensor, Tensor]:
+    """Give the distinct numbers [U], rising, and where among them each one stands."""
+    used = torch.bincount(index.flatten()).nonzero()[:, 0]
+    return used, torch.searchsorted(used, index)
+
+
 def _mix(table: Tensor, index: Tensor, shares: Tensor) -> Tensor:
     """Add up shares of a table's rows [..., 1, K]: [R, ...], in the shares' precision."""
     index, shares = index.flatten(0, -2), shares.flatten(0, -2)
     # of all rows a straight streak needs a few only
-    used, where = index.unique(return_inverse=True)
+    used, where = _distinct(index)
     mixing = shares.new_zeros(len(index), len(used)).scatter_(1, where, shares)
     return (mixing @ table[used].to(shares).flatten(1)).reshape(len(index), *table.shape[1:])
 

@@ -96,7 +96,8 @@ def change_of_look(ball: SharpBall) -> tuple[Tensor, Tensor]:
 def to_angles(place: Tensor) -> Tensor:
     """Map the unit disc [..., 2] to that of `change_of_look`, scaled so that the rim is at 1."""
     distance = torch.linalg.vector_norm(place, dim=-1, keepdim=True).clamp(1e-6, 1)
-    return place * (torch.asin(distance) / distance * (2 / math.pi))
+    share: Tensor = torch.asin(distance) / distance * (2 / math.pi)
+    return place * share
 
 
 def _mirrored(rgb: Tensor, outward: Tensor, angle: Tensor) -> Tensor:
