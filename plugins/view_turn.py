@@ -3,7 +3,7 @@
 A disc shows the part of the ball that faces the viewer. Seen along another ray, that part is
 another one: with the view turned by d = (d_x, d_y), radians right and down, the disc shows at
 (x, y) what it showed at (x - c d_x, y - c d_y), c = sqrt(1 - x^2 - y^2). [derived]
-A glossy highlight moves by half of that, which no one picture tells from shading.
+A glossy highlight moves by half of that, which one picture alone does not tell from shading.
 """
 
 import math
