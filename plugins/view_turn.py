@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from toolkit import Camera, SharpBall
-from toolkit.ball import Disc
+from toolkit import Camera, Disc, SharpBall
 
 NODES = 33
 """Along a side of the picture, at which viewing rays are found; those between are interpolated."""
