@@ -134,7 +134,11 @@ def _linearised(
     alpha, J_alpha = semi_ellipse_and_J(offset, centre, half_width, opacity, skew, fit.blur[:1])
     share = (offset - centre) / half_width
     foreground, slope = estimator.foreground_and_slope(
-        Chord(offset=share.clamp(-1, 1), direction=profiles.direction[0, chosen, None])
+        Chord(
+            offset=share.clamp(-1, 1),
+            direction=profiles.direction[0, chosen, None],
+            place=profiles.origin[0, chosen, None],
+        )
     )
     variance = profiles.variance[0, chosen].clamp_min(1e-14)
     whitening = profiles.valid[0, chosen][..., None] / variance.sqrt()
