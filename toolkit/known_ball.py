@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,11 @@ from toolkit.rig import Rig
 
 if TYPE_CHECKING:
     from toolkit.ball import SharpBall
+    from toolkit.ball_colours import BallColours
+    from toolkit.disc import BallView
+
+LEARNT = ("plane_normal", "colour")
+"""Fields that a sharp picture fills where nobody names a colour."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -20,6 +26,7 @@ class KnownBall:
     radius: float | None  # metre
     numbers: Mapping[str, object]  # by the names that estimators use for their fields
     look: "Callable[[], SharpBall] | None"  # reads the sharp picture
+    learn: "Callable[[], BallColours] | None"  # learns colours from it that nobody has named
     pictures: tuple[Path, ...]  # that `look` reads
     file: Path | None  # the ball.toml
 
@@ -37,12 +44,23 @@ class KnownBall:
             MismatchError: when the pictures do not belong together.
         """
         known = {name: value for name, value in self.numbers.items() if name in fields}
-        return known | ({"ball": self.look()} if self.look and "ball" in fields else {})
+        if self.look and "ball" in fields:
+            known["ball"] = self.look()
+        if self._is_learnt(fields) and self.learn:
+            seen = self.learn()
+            learnt = {"plane_normal": seen.normal, "colour": _only(seen)}
+            known |= {name: learnt[name] for name in LEARNT if name in fields and learnt[name]}
+        return known
 
     def files(self, fields: Collection[str]) -> tuple[Path, ...]:
         """List what is read for those fields."""
         own = () if self.file is None else (self.file,)
-        return (*own, *(self.pictures if "ball" in fields else ()))
+        is_seen = "ball" in fields or self._is_learnt(fields)
+        return (*own, *(self.pictures if is_seen else ()))
+
+    def _is_learnt(self, fields: Collection[str]) -> bool:
+        is_named = any(name in self.numbers for name in (*LEARNT, "colours"))
+        return self.learn is not None and not is_named and any(name in fields for name in LEARNT)
 
 
 def know_ball(settings: Rig) -> KnownBall:
@@ -60,21 +78,41 @@ def know_ball(settings: Rig) -> KnownBall:
     # two colours named by hand span a plane of their own
     if ball.plane_normal is not None and len(settings.ball_colours) < 2:
         numbers["plane_normal"] = ball.plane_normal
-    source = _source(settings, ball)
+    picture = settings.ball_image
+    view = None if picture is None else cache(partial(view_picture, picture, settings))
     return KnownBall(
         radius=ball.radius if settings.ball_radius is None else settings.ball_radius,
         numbers=numbers,
-        look=source,
+        look=_looking(view, ball),
+        learn=None if view is None else partial(_learn, view),
         pictures=_pictures(settings, ball),
         file=settings.ball,
     )
 
 
-def _source(settings: Rig, ball: BallFile) -> "Callable[[], SharpBall] | None":
-    image = settings.ball_image
-    if image is not None:
-        return lambda: look_at_picture(image, settings)
+def _looking(
+    view: "Callable[[], BallView] | None", ball: BallFile
+) -> "Callable[[], SharpBall] | None":
+    if view is not None:
+        return partial(_lay_out, view)
     return None if ball.sharp is None else ball.sharp.look
+
+
+def _lay_out(view: "Callable[[], BallView]") -> "SharpBall":
+    from toolkit.ball_look import lay_out
+
+    return lay_out(view())
+
+
+def _learn(view: "Callable[[], BallView]") -> "BallColours":
+    from toolkit.ball_colours import learn_colours
+
+    return learn_colours([view()])
+
+
+def _only(seen: "BallColours") -> tuple[float, ...] | None:
+    """Give the colour of a ball that has but one."""
+    return seen.mean if seen.kind == "line" else None
 
 
 def _pictures(settings: Rig, ball: BallFile) -> tuple[Path, ...]:
@@ -83,20 +121,20 @@ def _pictures(settings: Rig, ball: BallFile) -> tuple[Path, ...]:
     return () if ball.sharp is None else ball.sharp.files
 
 
-def look_at_picture(image: Path, settings: Rig) -> "SharpBall":
-    """Read a sharp picture of the ball over the background of the shot, and look at it.
+def view_picture(image: Path, settings: Rig) -> "BallView":
+    """Read a sharp picture of the ball over the background of the shot, and find the ball.
 
     Raises:
         CalibrationError: naming the picture, when it shows no disc that can be used.
         ImageError: when a picture cannot be read.
         MismatchError: when the pictures do not belong together.
     """
-    from toolkit.ball_look import look_at_ball
+    from toolkit.disc import view_ball
     from toolkit.imaging import read_background, read_image
 
     seen = read_image(image, response=settings.response)
     empty = read_background(settings.background, response=settings.response)
     try:
-        return look_at_ball(seen, empty)
+        return view_ball(seen, empty)
     except ToolkitError as error:
         raise type(error)(f"{image}: {error}") from None

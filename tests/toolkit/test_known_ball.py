@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ from toolkit.cli.main import main
 from toolkit.imaging import write_png16
 from toolkit.known_ball import know_ball
 from toolkit.rig import Rig
+from toolkit.synthetic import PlainBall, StripedBall
 
 RED, BLUE, GREEN = (0.7, 0.2, 0.1), (0.1, 0.2, 0.6), (0.1, 0.7, 0.2)
 NORMAL = (0.6, 0.0, 0.8)
@@ -124,3 +126,34 @@ def test_measure_says_why_a_sharp_picture_is_refused(pictures, capsys):
     assert "no ball found" in err
     assert main([*line, "--estimator", "known-shading"]) == 2
     assert "--ball-image F, or --ball F.toml" in capsys.readouterr().err
+
+
+def written(folder, sharp, empty):
+    for name, picture in (("sharp", sharp.image), ("bg", empty)):
+        write_png16(folder / f"{name}.png", picture.rgb[0].double().numpy().clip(0))
+    return Rig(ball_image=folder / "sharp.png", background=(folder / "bg.png",))
+
+
+def test_a_sharp_picture_alone_teaches_the_plane_of_two_pigments(sharp_ball, tmp_path):
+    pigments = ((0.8, 0.1, 0.05), (0.1, 0.2, 0.8))
+    said = written(tmp_path, *sharp_ball(lambda _: StripedBall(colours=pigments)))
+    ball = know_ball(said)
+    (normal,) = ball.facts(("colours", "plane_normal")).values()
+    for pigment in pigments:
+        assert sum(n * c for n, c in zip(normal, pigment, strict=True)) == pytest.approx(
+            0, abs=0.01
+        )
+    assert ball.files(("plane_normal",)) == (tmp_path / "sharp.png",)
+
+
+def test_a_sharp_picture_alone_teaches_the_colour_of_a_plain_ball(sharp_ball, tmp_path):
+    colour = (0.8, 0.3, 0.1)
+    ball = know_ball(written(tmp_path, *sharp_ball(lambda _: PlainBall(colour=colour))))
+    assert ball.facts(("colour",))["colour"] == pytest.approx(colour, abs=0.01)
+
+
+def test_a_colour_that_is_named_is_not_learnt(sharp_ball, tmp_path):
+    said = written(tmp_path, *sharp_ball(None))
+    ball = know_ball(replace(said, ball_colours=(GREEN,)))
+    assert ball.facts(("colour", "plane_normal")) == {"colour": GREEN}
+    assert ball.files(("colour",)) == ()
