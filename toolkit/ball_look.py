@@ -7,13 +7,12 @@ from torch import Tensor
 
 from toolkit.ball import Disc, SharpBall
 from toolkit.disc import BallView, view_ball, view_disc
-from toolkit.rim import directions, inner_light, sample_light
+from toolkit.rim import sample_light
+from toolkit.rim_light import RIM, fit_rim_light
 from toolkit.types import LinearImage
 
 GRID = (65, 129)
 """Fewest and most nodes along a side of the grid; between them one a pixel of the disc."""
-RIM = 2.5
-"""px inside the outline whose light is mixed with the background, and is not taken."""
 
 
 def look_at_ball(image: LinearImage, background: LinearImage) -> SharpBall:
@@ -72,16 +71,16 @@ def _averaged(image: LinearImage, disc: Disc, place: Tensor, spacing: float) -> 
 
 
 def _extended(view: BallView, place: Tensor, rho: Tensor) -> Tensor:
-    """Give the light that the ball's inner part suggests near the rim and beyond, [N, N, 3]."""
-    angle = directions(view.disc)
-    light = inner_light(view.image, view.noise, view.disc, angle, RIM)
+    """Give the light that was fitted near the rim, there and beyond, [N, N, 3]."""
+    angle, light = fit_rim_light(view)
     at = torch.atan2(place[..., 1], place[..., 0]) / math.tau % 1 * len(angle)
     low = at.floor().long() % len(angle)
     share = (at - at.floor())[..., None, None]
     near = light[low] * (1 - share) + light[(low + 1) % len(angle)] * share
-    facing = (1 - rho**2).clamp_min(0).sqrt()[..., None]
+    facing = (1 - rho**2).clamp_min(0).sqrt()
+    powers = torch.stack([torch.ones_like(facing), facing, facing**2], dim=-1)
     # a noisy rise must not carry the light beyond what any ball sends
-    return (near[..., 0, :] + facing * near[..., 1, :]).clamp_min(0)
+    return torch.einsum("yxi,yxic->yxc", powers, near).clamp_min(0)
 
 
 def _odd(size: float) -> int:

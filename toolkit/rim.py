@@ -86,7 +86,7 @@ def inner_light(
     away = (facing - mean_facing)[..., None]
     rise = (away * (light - mean)).sum(1) / (away**2).sum(1)
     fitted = mean + away * rise[:, None]
-    misfit = ((light - fitted) ** 2 / _variance(noise, light, 1.0)).mean((1, 2))
+    misfit = ((light - fitted) ** 2 / sample_variance(noise, light, 1.0)).mean((1, 2))
     nearest = light[:, : 1 + round(NEAREST / STEP)].mean(1)
     is_smooth = (misfit < MISFIT)[:, None]
     at_rim = torch.where(is_smooth, mean[:, 0] - rise * mean_facing, nearest)
@@ -105,7 +105,7 @@ def search_rim(
     offset = torch.arange(-reach - INSIDE, reach + STEP / 2, STEP, dtype=angle.dtype)
     seen, _ = _sample(image, disc, angle, 1 + offset / radius)
     empty, _ = _sample(background, disc, angle, 1 + offset / radius)
-    whitened = (seen - empty) / _variance(noise, seen, 1 + 1 / background.frames).sqrt()
+    whitened = (seen - empty) / sample_variance(noise, seen, 1 + 1 / background.frames).sqrt()
     lag = round(INSIDE / STEP)
     change, inside = whitened[:, lag:], whitened[:, :-lag]
     energy = (inside**2).sum(-1)
@@ -218,7 +218,8 @@ def _read_zone(
         reach=reach,
         blur=blur,
         change=seen - empty,
-        variance=CORRELATION * _variance(noise, (seen + empty) / 2, 1 + 1 / background.frames),
+        variance=CORRELATION
+        * sample_variance(noise, (seen + empty) / 2, 1 + 1 / background.frames),
         contrast=light[:, None, 0] + facing * light[:, None, 1] - behind,
         is_exposed=~(is_clipped | is_empty_clipped).any(1),
     )
@@ -271,8 +272,8 @@ def _alpha_outside(zone: _Zone, residual: Tensor) -> Tensor:
     return alpha.abs() - 3 / information.sqrt()
 
 
-def _variance(noise: NoiseModel, level: Tensor, share: float) -> Tensor:
-    """Give the variance of a difference of two pictures at a level [..., 3]."""
+def sample_variance(noise: NoiseModel, level: Tensor, share: float) -> Tensor:
+    """Give `share` of the variance of one picture at a level [..., 3]."""
     read, gain, density = (
         v.to(level).reshape(3) for v in (noise.read_variance, noise.gain, noise.density)
     )
@@ -281,18 +282,19 @@ def _variance(noise: NoiseModel, level: Tensor, share: float) -> Tensor:
 
 def rim_radius(disc: Disc, angle: Tensor) -> Tensor:
     """Give the distance from the centre to the rim, px [D], in directions of the unit disc."""
-    rim = disc.from_unit(_unit(angle)) - torch.tensor(disc.centre, dtype=angle.dtype)
+    rim = disc.from_unit(unit_vectors(angle)) - torch.tensor(disc.centre, dtype=angle.dtype)
     length: Tensor = torch.linalg.vector_norm(rim, dim=-1)
     return length
 
 
-def _unit(angle: Tensor) -> Tensor:
+def unit_vectors(angle: Tensor) -> Tensor:
+    """Give the directions of angles [D], x and y [D, 2]."""
     return torch.stack([angle.cos(), angle.sin()], dim=-1)
 
 
 def _sample(image: LinearImage, disc: Disc, angle: Tensor, rho: Tensor) -> tuple[Tensor, Tensor]:
     """Give the light [D, S, 3] and whether it met white [D, S] at places of the unit disc."""
-    points = disc.from_unit(_unit(angle)[:, None] * rho[..., None])
+    points = disc.from_unit(unit_vectors(angle)[:, None] * rho[..., None])
     return sample_light(image, points)
 
 
