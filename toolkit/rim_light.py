@@ -20,17 +20,18 @@ from toolkit.rim import (
 
 RIM = 2.5
 """px inside the outline whose light is mixed with the background."""
-BAND_SHARE, BAND_LEAST = 0.1, 3.5
+BAND_SHARE, BAND_LEAST = 0.06, 2.5
 """Width of the band of unmixed light that is fitted too: share of the radius, and px."""
-LEAST_ALPHA = 0.4
-"""Opacity down to which mixed light is used; beyond, errors of the outline rule."""
-WINDOW = 0.12
+LEAST_ALPHA, DISTURBED_ALPHA = 0.5, 0.97
+"""Opacity down to which mixed light is used: beyond, errors of the outline rule; and where
+something else than the background, as a shadow, is seen beside the ball."""
+WINDOW = 0.1
 """Radians along the rim, standard deviation, over which the light's fit is shared."""
 BLUR, LEAST_BLUR, MOST_BLUR = 0.9, 0.5, 2.0
 """px, of the transition from ball to background, samples interpolated: usual, least and most."""
 CURVED = 0.3
 """Standard deviation of the light's curvature in the facing part of the normal, a prior."""
-MISFIT = 3.0
+MISFIT = 12.0
 """Variance of a direction's light about the fit, over that of noise, which tells of a pattern."""
 
 
@@ -65,7 +66,7 @@ def _read(view: BallView, angle: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
     The latter two are [D, S, 3 channels].
     """
-    blur = _transition(view)
+    blur, is_disturbed = _transition(view)
     radius = rim_radius(view.disc, angle)[:, None]
     width = max(BAND_SHARE * float(radius.max()), BAND_LEAST)
     place = torch.arange(-RIM - width, 2 * blur, STEP, dtype=angle.dtype)
@@ -83,16 +84,21 @@ def _read(view: BallView, angle: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     clear = 1 - design[..., :1]
     variance = sample_variance(view.noise, seen, 1.0)
     variance = variance + clear**2 * sample_variance(view.noise, behind, 1 / view.background.frames)
-    is_usable = design[..., :1] > LEAST_ALPHA
+    least = torch.where(is_disturbed, DISTURBED_ALPHA, LEAST_ALPHA)[:, None, None]
+    is_usable = design[..., :1] > least
     return design, seen - clear * behind, torch.where(is_usable, variance, torch.inf)
 
 
-def _transition(view: BallView) -> float:
-    """Give the standard deviation of the transition from ball to background, px."""
+def _transition(view: BallView) -> tuple[float, Tensor]:
+    """Give the standard deviation of the transition from ball to background, px.
+
+    And where it is disturbed, or not told from the background, [D] bool.
+    """
     rim = find_rim(view.image, view.background, view.noise, view.disc, BLUR)
     spread = rim.spread[torch.isfinite(rim.spread)]
     usual = float(spread.median()) if len(spread) else BLUR**2
-    return min(max(math.sqrt(max(usual, 0.0)), LEAST_BLUR), MOST_BLUR)
+    blur = min(max(math.sqrt(max(usual, 0.0)), LEAST_BLUR), MOST_BLUR)
+    return blur, torch.isinf(rim.variance)
 
 
 def _shares(angle: Tensor) -> Tensor:
