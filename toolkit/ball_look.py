@@ -39,7 +39,7 @@ def look_at_disc(image: LinearImage, background: LinearImage, disc: Disc) -> Sha
 
 
 def lay_out(view: BallView) -> SharpBall:
-    """Put the light of a disc on the grid of a `SharpBall`; mixed pixels are not used.
+    """Put the light of a disc on the grid of a `SharpBall`, freed from the background at the rim.
 
     Where the picture holds more pixels than the grid has nodes, those about a node are averaged.
     """
