@@ -48,7 +48,8 @@ def fit_rim_light(view: BallView) -> tuple[Tensor, Tensor]:
     """
     angle = directions(view.disc)
     design, contrast, variance = _read(view, angle)
-    weight = 1 / variance
+    # a black pixel of a picture without noise has none
+    weight = 1 / variance.clamp_min(1e-9)
     normal = torch.einsum("dsi,dsj,dsc->dcij", design, design, weight)
     pull = torch.einsum("dsi,dsc->dci", design, weight * contrast)
     shared = _shares(angle)
