@@ -105,17 +105,20 @@ def light_caution(profiles: Profiles, fit: ProfileFit, estimator: AlphaEstimator
     found = light_gain(profiles, fit, estimator)
     if found is None or not found.is_other_light:
         return None
-    if not found.is_plausible:
-        seen = "is shaded otherwise than it was known, whatever the strength of its light"
-    else:
+    if found.is_plausible:
         gains = zip(found.gain.tolist(), found.std.tolist(), strict=True)
         factors = ", ".join(f"{gain:.2f} +- {std:.2f}" for gain, std in gains)
-        seen = f"sends {factors} times the light (R, G, B) it was known by"
-    return Caution(
-        code="other-light",
-        message=f"the ball {seen}, as if it had moved in other light; take its colours or its "
-        "sharp picture where it flies, with the same exposure",
-    )
+        message = (
+            f"the ball sends {factors} times the light (R, G, B) it was known by, as if it had "
+            "moved in other light; take its colours or its sharp picture where it flies, with the "
+            "same exposure"
+        )
+    else:
+        message = (
+            "the ball is lit or shaded otherwise than this estimator knows it; for known-shading, "
+            "take its sharp picture where it flies, with the same exposure"
+        )
+    return Caution(code="other-light", message=message)
 
 
 def _linearised(

@@ -81,6 +81,15 @@ def test_a_lamp_on_the_other_side_is_told(shot):
     assert caution.code == "other-light"
 
 
+def test_a_ball_shaded_otherwise_is_not_said_to_be_in_other_light(shot):
+    estimator = Uniform(colour=(0.9, 0.5, 0.2))
+    profiles, fit = fitted(shot, estimator)
+    assert not light_gain(profiles, fit, estimator).is_plausible
+    message = light_caution(profiles, fit, estimator).message
+    assert "is lit or shaded otherwise than this estimator knows it" in message
+    assert "other light" not in message
+
+
 def test_implausible_gains_are_not_quoted():
     """A channel cannot send less than no light."""
     covariance = 1e-4 * torch.eye(3, dtype=torch.float64)
