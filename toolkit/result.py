@@ -212,7 +212,7 @@ def _cautions(
             "all profiles differ alike from the shape that this estimator expects, by "
             f"{found.fit.common_misfit:.0f} times the variance of their mean (shading, a pattern, "
             "a wrong colour or response); width and depth may be wrong, and the uncertainties are "
-            "widened; known-shading or two-colour may suit the ball",
+            "widened; another estimator may suit the ball, and --estimator auto tries all",
         ),
         (
             change > 0,
