@@ -13,6 +13,7 @@ from toolkit.rig import Rig
 if TYPE_CHECKING:
     from toolkit.ball import SharpBall
     from toolkit.ball_colours import BallColours
+    from toolkit.ball_file import SharpSource
     from toolkit.disc import BallView
 
 LEARNT = ("plane_normal", "colour")
@@ -83,7 +84,7 @@ def know_ball(settings: Rig) -> KnownBall:
     return KnownBall(
         radius=ball.radius if settings.ball_radius is None else settings.ball_radius,
         numbers=numbers,
-        look=_looking(view, ball),
+        look=_looking(view, ball, settings.ball),
         learn=None if view is None else partial(_learn, view),
         pictures=_pictures(settings, ball),
         file=settings.ball,
@@ -91,11 +92,19 @@ def know_ball(settings: Rig) -> KnownBall:
 
 
 def _looking(
-    view: "Callable[[], BallView] | None", ball: BallFile
+    view: "Callable[[], BallView] | None", ball: BallFile, file: Path | None
 ) -> "Callable[[], SharpBall] | None":
     if view is not None:
         return partial(_lay_out, view)
-    return None if ball.sharp is None else ball.sharp.look
+    return None if ball.sharp is None else partial(_look_again, ball.sharp, file)
+
+
+def _look_again(source: "SharpSource", file: Path | None) -> "SharpBall":
+    """Look at the picture that a ball file names; an error names the file too."""
+    try:
+        return source.look()
+    except ToolkitError as error:
+        raise type(error)(f"{file}: {error}") from None
 
 
 def _lay_out(view: "Callable[[], BallView]") -> "SharpBall":
