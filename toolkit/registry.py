@@ -213,6 +213,8 @@ def _find(name: str) -> EntryPoint:
     points = [point for point in declared(GROUP) if point.name == name]
     if not points:
         names = ", ".join(sorted({point.name for point in declared(GROUP)})) or "none"
+        if name in RESERVED:
+            raise PluginError(f"'{name}' is no estimator but tries those installed: {names}")
         raise PluginError(f"no estimator '{name}' is installed; installed are: {names}")
     if len(points) > 1:
         owners = " and ".join(owner(point) for point in points)

@@ -130,6 +130,12 @@ def test_what_shows_without_importing_is_listed_and_stops_nothing_else(declare):
     assert registry.load("good")
 
 
+def test_auto_is_explained_where_an_estimator_is_needed(declare):
+    declare(GOOD, "good = :Good")
+    with pytest.raises(PluginError, match="'auto' is no estimator but tries those installed: good"):
+        registry.load("auto")
+
+
 def test_nobody_may_claim_auto(declare):
     declare(GOOD, "auto = :Good")
     with pytest.raises(PluginError, match=r"of shop 1.5: the name 'auto' is reserved"):

@@ -42,7 +42,9 @@ def measure(
     ] = None,
     estimator: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="How the ball is told from its background [uniform]."),
+        typer.Option(
+            metavar="NAME|auto", help="How the ball is told from its background [uniform]."
+        ),
     ] = None,
     set_: Annotated[
         list[str] | None,
