@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from toolkit.ball import Disc
     from toolkit.ball_colours import BallColours
     from toolkit.ball_file import BallFile, SharpSource
+    from toolkit.types import LinearImage
 
 
 def ball(
@@ -62,7 +63,8 @@ def ball(
         image=image, background=tuple(background), disc=disc, response=curve or response
     )
     write_ball(out, _as_file(radius, colours, source))
-    typer.echo("\n".join([*_disc_lines(disc, view.clipped), *_colour_lines(colours)]))
+    told = [*_disc_lines(disc, view.clipped), *_colour_lines(colours), *_response_lines(seen)]
+    typer.echo("\n".join(told))
     typer.echo(f"wrote {_printable(str(out))}")
 
 
@@ -144,6 +146,15 @@ def _colour_lines(colours: "BallColours") -> list[str]:
             "known-shading, not two-colour"
         )
     return [*lines, f"off        {colours.off:.1%} of the pixels are off it (highlights, marks)"]
+
+
+def _response_lines(image: "LinearImage") -> list[str]:
+    if not image.response_is_assumed:
+        return []
+    return [
+        f"caution    the response '{image.response}' is only assumed, and a wrong one shifts the "
+        "colours; use RAW, or name it with --response"
+    ]
 
 
 def _text(values: Sequence[float]) -> str:

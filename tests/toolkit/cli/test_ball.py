@@ -62,6 +62,15 @@ def test_one_colour_is_said_to_be_no_plane(sharp_ball, tmp_path, capsys):
     assert (read_ball(out).plane_normal, len(read_ball(out).colours)) == (None, 1)
 
 
+def test_a_response_that_is_only_assumed_is_said(words, capsys):
+    assert main(words) == 0
+    assert "assumed" not in capsys.readouterr().out  # the pictures name theirs
+    for path in (words[2], words[4]):
+        cv2.imwrite(path, cv2.imread(path))  # 8 bits, and no word about their light
+    assert main(words) == 0
+    assert "caution    the response 'srgb' is only assumed" in capsys.readouterr().out
+
+
 def test_missing_inputs_are_named_at_once(capsys):
     assert main(["ball"]) == 2
     err = capsys.readouterr().err
