@@ -1,6 +1,6 @@
 """Which estimators suit what is known about the ball: the one named, or all that can be made."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -57,7 +57,7 @@ def make_candidates(name: str, ball: KnownBall, options: Mapping[str, str]) -> C
     """
     if name != AUTO:
         fields = registry.load(name).option_names()
-        estimator = registry.build(name, given=ball.facts(fields), options=options)
+        estimator = _build(name, ball, fields, options)
         return Candidates(ready=((name, estimator),), unsuited=(), files=ball.files(fields))
     ready, unsuited, files = [], [], dict.fromkeys(ball.files(()))
     for info in registry.installed():
@@ -80,4 +80,17 @@ def _make(name: str, ball: KnownBall) -> tuple[AlphaEstimator, tuple[Path, ...]]
     if missing:
         raise ConfigError(f"needs {'; and '.join(missing)}")
     fields = estimator.option_names()
-    return registry.build(name, given=ball.facts(fields), options={}), ball.files(fields)
+    return _build(name, ball, fields, {}), ball.files(fields)
+
+
+def _build(
+    name: str, ball: KnownBall, fields: Collection[str], options: Mapping[str, str]
+) -> AlphaEstimator:
+    """Make an estimator; where it lacks a plane and the ball's looks tell why, say that."""
+    try:
+        return registry.build(name, given=ball.facts(fields), options=options)
+    except ConfigError as error:
+        reason = None if options else ball.lacks_plane(fields)
+        if reason is None:
+            raise
+        raise ConfigError(f"{name} cannot be used: {reason}") from error

@@ -18,6 +18,11 @@ if TYPE_CHECKING:
 
 LEARNT = ("plane_normal", "colour")
 """Fields that a sharp picture fills where nobody names a colour."""
+NO_PLANE = {
+    "line": "shows one colour and its shades, or black and white; use uniform or known-shading",
+    "solid": "shows more than two colours, or gloss; use known-shading",
+}
+"""Why a ball has no two pigments that could be told, by the kind of its colours."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,6 +35,7 @@ class KnownBall:
     learn: "Callable[[], BallColours] | None"  # learns colours from it that nobody has named
     pictures: tuple[Path, ...]  # that `look` reads
     file: Path | None  # the ball.toml
+    kind: str | None  # what it says of the colours
 
     @property
     def names(self) -> frozenset[str]:
@@ -58,6 +64,17 @@ class KnownBall:
         own = () if self.file is None else (self.file,)
         is_seen = "ball" in fields or self._is_learnt(fields)
         return (*own, *(self.pictures if is_seen else ()))
+
+    def lacks_plane(self, fields: Collection[str]) -> str | None:
+        """Say why the ball gives no plane of two pigments to a field that asks for one, if so."""
+        colours = self.numbers.get("colours", ())
+        is_told = "plane_normal" in self.numbers or (isinstance(colours, tuple) and colours[1:])
+        if "plane_normal" not in fields or is_told:
+            return None
+        source, kind = self.file, self.kind
+        if self._is_learnt(fields) and self.learn:
+            source, kind = self.pictures[0], self.learn().kind
+        return f"{source} {NO_PLANE[kind]}" if kind in NO_PLANE else None
 
     def _is_learnt(self, fields: Collection[str]) -> bool:
         is_named = any(name in self.numbers for name in (*LEARNT, "colours"))
@@ -88,6 +105,7 @@ def know_ball(settings: Rig) -> KnownBall:
         learn=None if view is None else partial(_learn, view),
         pictures=_pictures(settings, ball),
         file=settings.ball,
+        kind=ball.kind,
     )
 
 
