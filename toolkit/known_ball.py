@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from toolkit.ball_file import BallFile, read_ball
-from toolkit.errors import ToolkitError
+from toolkit.errors import ImageError, ToolkitError
 from toolkit.rig import Rig
 
 if TYPE_CHECKING:
@@ -86,6 +86,7 @@ def know_ball(settings: Rig) -> KnownBall:
 
     Raises:
         ConfigError: when the ball file is missing or damaged.
+        ImageError: when there is no such sharp picture.
     """
     ball = BallFile() if settings.ball is None else read_ball(settings.ball)
     numbers: dict[str, object] = {}
@@ -97,6 +98,8 @@ def know_ball(settings: Rig) -> KnownBall:
     if ball.plane_normal is not None and len(settings.ball_colours) < 2:
         numbers["plane_normal"] = ball.plane_normal
     picture = settings.ball_image
+    if picture is not None and not picture.exists():  # even where nobody will look at it
+        raise ImageError(f"{picture} does not exist; give the path of a sharp picture of the ball")
     view = None if picture is None else cache(partial(view_picture, picture, settings))
     return KnownBall(
         radius=ball.radius if settings.ball_radius is None else settings.ball_radius,

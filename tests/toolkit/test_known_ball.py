@@ -106,6 +106,11 @@ def test_bad_picture_is_named(pictures):
         know_ball(shown).facts(("ball",))
 
 
+def test_a_picture_that_is_not_there_is_told_though_nobody_looks(tmp_path):
+    with pytest.raises(ImageError, match=r"gone\.png does not exist"):
+        know_ball(Rig(ball_image=tmp_path / "gone.png", ball_colours=(RED,)))
+
+
 def test_damaged_file_is_a_configuration_error(tmp_path):
     (tmp_path / "ball.toml").write_text("radius_m = 3")
     with pytest.raises(ConfigError, match=r"toolkit\.ball/1"):
