@@ -115,8 +115,9 @@ def light_caution(profiles: Profiles, fit: ProfileFit, estimator: AlphaEstimator
         )
     else:
         message = (
-            "the ball is lit or shaded otherwise than this estimator knows it; for known-shading, "
-            "take its sharp picture where it flies, with the same exposure"
+            "the ball is coloured, lit or shaded otherwise than this estimator knows it; correct "
+            "its colour or, for known-shading, take its sharp picture where it flies, with the "
+            "same exposure"
         )
     return Caution(code="other-light", message=message)
 

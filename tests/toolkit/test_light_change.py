@@ -86,7 +86,7 @@ def test_a_ball_shaded_otherwise_is_not_said_to_be_in_other_light(shot):
     profiles, fit = fitted(shot, estimator)
     assert not light_gain(profiles, fit, estimator).is_plausible
     message = light_caution(profiles, fit, estimator).message
-    assert "is lit or shaded otherwise than this estimator knows it" in message
+    assert "coloured, lit or shaded otherwise than this estimator knows it" in message
     assert "other light" not in message
 
 
