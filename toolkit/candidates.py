@@ -64,7 +64,8 @@ def make_candidates(name: str, ball: KnownBall, options: Mapping[str, str]) -> C
         try:
             estimator, read = _make(info.name, ball)
         except (ConfigError, PluginError) as error:
-            unsuited.append(Candidate(estimator=info.name, reason=str(error)))
+            reason = str(error).removeprefix(f"{info.name} ")
+            unsuited.append(Candidate(estimator=info.name, reason=reason))
             continue
         ready.append((info.name, estimator))
         files |= dict.fromkeys(read)

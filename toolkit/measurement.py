@@ -37,6 +37,7 @@ class Inputs:
     shot: InputFile | None = None
     background: tuple[InputFile, ...] = ()
     camera: InputFile | None = None
+    ball: tuple[InputFile, ...] = ()  # its file and sharp picture, where these were read
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

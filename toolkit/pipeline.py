@@ -23,10 +23,11 @@ from toolkit.contours import (
 )
 from toolkit.ends import rough_ends
 from toolkit.errors import ConfigError, StreakError
-from toolkit.following import follow_motion
+from toolkit.following import Reconstruction, follow_motion
 from toolkit.guarded import guarded
 from toolkit.light_change import light_caution
 from toolkit.measurement import Measurement
+from toolkit.motion import DEPTH
 from toolkit.profile_fit import BLUR_ROUNDS, fit_profiles, improve_appearance, refine_profiles
 from toolkit.profile_model import KNOWN_SKEW, Skew
 from toolkit.profiles import axis_bend, gather_profiles
@@ -35,7 +36,7 @@ from toolkit.registry import name_of
 from toolkit.result import describe
 from toolkit.streak import ROI, refine_axis
 from toolkit.types import Appearance, Contours, LinearImage, ProfileFit, ProfileFlag, Profiles
-from toolkit.uncertainty import covariances
+from toolkit.uncertainty import Uncertainty, covariances
 from toolkit.view import StreakView, observe_streak
 
 PROFILE_REACH = 1.5
@@ -54,6 +55,8 @@ MISFIT = 2.0
 """Chi-square per degree of freedom beyond which the ball is not of one colour."""
 MANY_COLOURS = 10.0
 """The same, from which no one colour can be found in the fit."""
+LOST_DEPTH = 0.5
+"""Relative standard deviation of the depth from which nothing is known of it."""
 SHADING = 0.3
 """Standard deviation of the skew that shading may cause."""
 CORNER = math.radians(40)
@@ -125,6 +128,7 @@ def measure(
         ball_radius_std=ball_radius_std,
         exposure_std_share=exposure_std / exposure if exposure else 0.0,
     )
+    _check_depth(found, uncertainty)
     watch.lap("uncertainty")
 
     result = describe(
@@ -177,9 +181,9 @@ def fit_streak(view: StreakView, estimator: AlphaEstimator) -> tuple[ProfileFit,
     if guess is not None and misfit > MANY_COLOURS:
         raise StreakError(
             "the ball is not of one colour that the fit could find: its profiles have another "
-            f"shape, by {misfit:.0f} times the variance of their mean; give --ball-colour, or a "
-            "sharp picture (--ball-image) with --estimator known-shading, or both pigments with "
-            "two-colour"
+            f"shape, by {misfit:.0f} times the variance of their mean; use --estimator "
+            "known-shading with a sharp picture (--ball-image) of a shaded ball, two-colour for "
+            "one of two pigments, or give --ball-colour where it is evenly lit"
         )
     fit = widen_for_correlation(fit)
     chi2 = fit.chi2_per_dof * excess
@@ -298,6 +302,18 @@ def _check_contours_inside(contours: Contours, image: LinearImage) -> None:
         raise StreakError(
             f"the streak leaves the picture along its side near ({x:.0f}, {y:.0f}) px, so that its "
             "width is not seen; aim so that the whole streak is inside"
+        )
+
+
+def _check_depth(found: Reconstruction, uncertainty: Uncertainty) -> None:
+    """Raise `StreakError` where the depth is as good as unknown."""
+    depth = float(found.motion.position[2])
+    std = float(uncertainty.total[DEPTH, DEPTH].clamp_min(0).sqrt())
+    if not std < LOST_DEPTH * depth:
+        raise StreakError(
+            f"the ball's depth is not determined ({depth:.3g} +/- {std:.3g} m): the streak is too "
+            "faint or short, or the ball is not what the estimator takes it for; "
+            "try --estimator auto"
         )
 
 

@@ -13,14 +13,14 @@ from toolkit.alpha import AlphaEstimator
 from toolkit.camera import Camera
 from toolkit.camera_file import fit_camera, read_camera
 from toolkit.candidates import AUTO, Candidates, make_candidates, what_is_needed
-from toolkit.errors import ConfigError, ImageError, MismatchError
+from toolkit.errors import ConfigError, ImageError, MismatchError, StreakError
 from toolkit.files import sha256
 from toolkit.imaging import read_background, read_image
 from toolkit.known_ball import know_ball
 from toolkit.measurement import Candidate, Caution, InputFile, Inputs, Measurement
 from toolkit.pipeline import measure
 from toolkit.rig import Colour, Rig, read_rig
-from toolkit.selection import select_estimator
+from toolkit.selection import Selection, select_estimator
 from toolkit.types import LinearImage
 
 DEFAULT_ESTIMATOR = "uniform"
@@ -137,9 +137,7 @@ def measure_shot(shot: ShotInputs) -> Measurement:
     name, estimator = shot.candidates.ready[0]
     tried: tuple[Candidate, ...] = ()
     if shot.estimator_name == AUTO:
-        chosen = select_estimator(
-            shot.image, shot.background, shot.candidates.ready, shot.camera, shot.roi
-        )
+        chosen = _select(shot)
         name, estimator = chosen.name, chosen.estimator
         tried = (*chosen.candidates, *shot.candidates.unsuited)
     selected = time.perf_counter()
@@ -261,6 +259,7 @@ def _read_shot(plan: _Plan, roi: Roi | None, frame: int | None) -> ShotInputs:
             shot=_fingerprint(plan.shot),
             background=tuple(_fingerprint(path) for path in settings.background),
             camera=_fingerprint(plan.camera),
+            ball=tuple(_fingerprint(path) for path in plan.candidates.files),
         ),
         files=plan.files,
         provenance=_provenance(settings, image),
@@ -334,6 +333,17 @@ def _cautions(shot: ShotInputs) -> tuple[Caution, ...]:
         "use RAW, or name it with --response"
     )
     return (Caution(code="response_assumed", message=text),)
+
+
+def _select(shot: ShotInputs) -> Selection:
+    """Choose the estimator; where none will do, say also what the others would have needed."""
+    try:
+        return select_estimator(
+            shot.image, shot.background, shot.candidates.ready, shot.camera, shot.roi
+        )
+    except StreakError as error:
+        others = "; ".join(f"{c.estimator} {c.reason}" for c in shot.candidates.unsuited)
+        raise StreakError(f"{error}; not tried: {others}" if others else str(error)) from None
 
 
 def _choice(tried: tuple[Candidate, ...]) -> tuple[Caution, ...]:

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from plugins.uniform import Uniform
-from toolkit import ConfigError, MismatchError, ProfileFlag, StreakError, measure
+from toolkit import ConfigError, MismatchError, ProfileFlag, StreakError, measure, pipeline
 from toolkit.synthetic import add_noise, benchmark_scene, preset_scene, render_shot
 
 
@@ -241,3 +241,9 @@ def test_a_camera_without_an_inverse_is_refused(shot):
     wild = replace(shot.scene.camera, distortion=(0.1, 0.2, 0.0, 0.0, -5e9))
     with pytest.raises(StreakError, match="distortion cannot be inverted"):
         run(shot, camera=wild)
+
+
+def test_a_depth_that_is_not_known_is_refused(shot, monkeypatch):
+    monkeypatch.setattr(pipeline, "LOST_DEPTH", 1e-4)
+    with pytest.raises(StreakError, match="the ball's depth is not determined"):
+        run(shot)

@@ -202,3 +202,9 @@ def test_shot_that_shows_no_streak_is_refused(folder):
     still = replace(shot, image=replace(shot.image, rgb=shot.background.rgb.clone()))
     with pytest.raises(StreakError):
         measure_shot(still)
+
+
+def test_auto_lists_what_the_others_need_where_none_will_do(folder):
+    shot = load(folder, estimator="auto")
+    with pytest.raises(StreakError, match="none of the estimators .* not tried: .*two pigments"):
+        measure_shot(shot)
