@@ -206,5 +206,5 @@ def test_shot_that_shows_no_streak_is_refused(folder):
 
 def test_auto_lists_what_the_others_need_where_none_will_do(folder):
     shot = load(folder, estimator="auto")
-    with pytest.raises(StreakError, match="none of the estimators .* not tried: .*two pigments"):
+    with pytest.raises(StreakError, match=r"none of the estimators .* not tried: .*two pigments"):
         measure_shot(shot)
