@@ -55,7 +55,7 @@ MISFIT = 2.0
 """Chi-square per degree of freedom beyond which the ball is not of one colour."""
 MANY_COLOURS = 10.0
 """The same, from which no one colour can be found in the fit."""
-LOST_DEPTH = 0.5
+LOST_DEPTH = 1.0
 """Relative standard deviation of the depth from which nothing is known of it."""
 SHADING = 0.3
 """Standard deviation of the skew that shading may cause."""
