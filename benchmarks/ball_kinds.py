@@ -30,7 +30,8 @@ Columns: median over the shots of the error of the axis' depth (itself the media
 R) and of the speed at mid-exposure; bias of the half width and of the axis' depth (medians with
 their signs); the share of shots whose error lies within 1.96 reported standard deviations for the
 position x y z at mid-exposure and the speed; refused shots; median CPU time of `measure` on one
-thread, warm, and its ratio to that of `uniform` on the same shots.
+thread, warm, and its ratio to that of `uniform` on the same shots; results with the caution that
+all profiles differ alike from the shape expected.
 """
 
 import os
@@ -173,6 +174,7 @@ class Score:
     speed: float  # share
     half_width: float  # px, median over the profiles
     within: tuple[bool, ...]  # x y z speed inside 1.96 standard deviations
+    warned: bool  # whether the result says that the ball looks otherwise than taken for
     seconds: float
 
 
@@ -238,6 +240,7 @@ def compare(shot: RenderedShot, result: Measurement, seconds: float) -> Score:
         speed=result.speed_m_s / speed - 1,
         half_width=half_width_error(shot, result),
         within=tuple(bool(abs(value) < 1.96) for value in (*sigmas, speed_sigma)),
+        warned=any(caution.code == "profiles-misshapen" for caution in result.warnings),
         seconds=seconds,
     )
 
@@ -353,14 +356,14 @@ def print_rows(name: str, scores: Mapping[str, list[Score]], shots: int) -> None
             f"{name:12}{label:25}{len(own):5}/{shots:<4}{np.median(np.abs(depth)):8.3f}"
             f"{100 * np.median(np.abs(speed)):9.2f}{np.median(width):11.3f}{np.median(depth):9.3f}"
             "    " + " ".join(f"{share:.2f}" for share in within) + f"{1000 * taken:8.0f}"
-            f"{taken / base_time:7.2f}",
+            f"{taken / base_time:7.2f}{sum(score.warned for score in own):8}",
             flush=True,
         )
 
 
 HEAD = (
     "kind        estimator                measured  depth R  speed %  width px  depth R"
-    "   within 1.96 sigma   CPU ms  ratio\n"
+    "   within 1.96 sigma   CPU ms  ratio  warned\n"
     "                                                |error|  |error|      bias     bias"
     "      x    y    z speed"
 )

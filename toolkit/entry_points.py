@@ -16,7 +16,7 @@ def unreadable() -> list[str]:
     """Name the packages whose entry points cannot be read."""
     try:
         metadata.entry_points()
-    except Exception:
+    except Exception:  # whatever a damaged file leads to
         return _one_by_one()[1]
     return []
 
@@ -44,6 +44,6 @@ def _one_by_one() -> tuple[list[EntryPoint], list[str]]:
             continue  # the first on the path is the one that is imported
         try:
             found[name] = list(distribution.entry_points)
-        except Exception:
+        except Exception:  # whatever a damaged file leads to
             broken.append(name)
     return [point for points in found.values() for point in points], broken

@@ -97,10 +97,11 @@ def _texts_in(parent: type) -> dict[str, str]:
     body = tree.body[0].body if isinstance(tree.body[0], ast.ClassDef) else []
     found = {}
     for statement, below in pairwise(body):
-        is_field = isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name)
+        if not (isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name)):
+            continue
         text = below.value if isinstance(below, ast.Expr) else None
-        if is_field and isinstance(text, ast.Constant) and isinstance(text.value, str):
-            found[statement.target.id] = " ".join(text.value.split())  # type: ignore[attr-defined]
+        if isinstance(text, ast.Constant) and isinstance(text.value, str):
+            found[statement.target.id] = " ".join(text.value.split())
     return found
 
 

@@ -111,7 +111,7 @@ def options_refused(case: Case) -> None:
             replace(estimator, **{name: nonsense})
         except ToolkitError as error:
             expect("\n" not in str(error), f"{name} = {nonsense} is refused in several lines")
-        except Exception as error:
+        except Exception as error:  # a stranger's code may raise anything
             raise CheckFailed(
                 f"{name} = {nonsense} breaks with {type(error).__name__}; raise ConfigError with "
                 "what to do"
