@@ -28,6 +28,7 @@ def commands(shot: Path) -> dict[str, list[str]]:
     return {
         TORCH: [sys.executable, "-c", TORCH],
         "toolkit --help": [sys.executable, "-c", COMMAND, "--help"],
+        "plugins list": [sys.executable, "-c", COMMAND, "plugins", "list"],
         "toolkit measure": [sys.executable, "-c", COMMAND, "measure", str(shot)],
     }
 

