@@ -39,6 +39,8 @@ from toolkit.types import Appearance, Contours, LinearImage, ProfileFit, Profile
 from toolkit.uncertainty import Uncertainty, covariances
 from toolkit.view import StreakView, observe_streak
 
+STAGES = ("profiles", "contours", "sweep")
+"""Of a measurement, each starting from the one before."""
 PROFILE_REACH = 1.5
 """Half widths that a profile extends to either side, and 4 px more."""
 PROFILES = 24
@@ -76,6 +78,8 @@ def measure(
     ball_radius_std: float = 0.0,
     exposure_std: float = 0.0,
     roi: ROI | None = None,
+    stage: str = "contours",
+    readout: float = 0.0,
 ) -> Measurement:
     """Measure position, direction, speed and path of the ball in one motion-blurred picture.
 
@@ -92,6 +96,8 @@ def measure(
         ball_radius_std: standard deviation of the radius, m.
         exposure_std: of the exposure, s.
         roi: left, top, width, height in px to search in.
+        stage: the last one, of STAGES.
+        readout: s from the start of the first row's exposure to that of the last row's.
 
     Returns:
         Measurement of the branch that moves right in the picture, or down, or away; the other sign
@@ -103,7 +109,8 @@ def measure(
         StreakError: when no trustworthy measurement is possible, with the reason.
         BadOutputError: when the estimator breaks, or gives what cannot be.
     """
-    _check_numbers(ball_radius, ball_radius_std, exposure, exposure_std)
+    _check_numbers(ball_radius, ball_radius_std, exposure, exposure_std, readout)
+    _check_stage(stage)
     check_pair(image, background)
     camera = fit_camera(camera, image)
     name, estimator = name_of(type(estimator)), guarded(estimator).seen_through(camera)
@@ -332,7 +339,11 @@ class _Stopwatch:
 
 
 def _check_numbers(
-    ball_radius: float, ball_radius_std: float, exposure: float | None, exposure_std: float
+    ball_radius: float,
+    ball_radius_std: float,
+    exposure: float | None,
+    exposure_std: float,
+    readout: float,
 ) -> None:
     positive = {"ball radius": ball_radius}
     if exposure is not None:
@@ -340,6 +351,12 @@ def _check_numbers(
     for name, value in positive.items():
         if not (math.isfinite(value) and value > 0):
             raise ConfigError(f"{name} is {value}; a positive number is needed")
-    for name, value in {"ball radius std": ball_radius_std, "exposure std": exposure_std}.items():
+    others = {"ball radius std": ball_radius_std, "exposure std": exposure_std, "readout": readout}
+    for name, value in others.items():
         if not (math.isfinite(value) and value >= 0):
             raise ConfigError(f"{name} is {value}; zero or a positive number is needed")
+
+
+def _check_stage(stage: str) -> None:
+    if stage not in STAGES:
+        raise ConfigError(f"stage '{stage}' is unknown; use one of {', '.join(STAGES)}")
