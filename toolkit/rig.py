@@ -15,7 +15,7 @@ _SECTIONS: dict[str, dict[str, type | tuple[type, ...]]] = {
     "camera": {"file": str},
     "response": {"kind": str, "file": str},
     "ball": {"radius_m": float, "radius_std_m": float, "file": str, "colours": list},
-    "exposure": {"time_s": float, "time_std_s": float},
+    "exposure": {"time_s": float, "time_std_s": float, "readout_s": float},
     "background": {"images": list},
 }
 
@@ -33,6 +33,7 @@ class Rig:
     ball_image: Path | None = None  # a sharp picture of the ball, over the shot's background
     exposure: float | None = None  # second
     exposure_std: float | None = None  # second
+    readout: float | None = None  # second from the start of the first row to that of the last
     background: tuple[Path, ...] = ()
     estimator: str | None = None
     options: Mapping[str, str] = field(default_factory=dict)  # as --set writes them
@@ -56,6 +57,7 @@ class Rig:
             ball_image=self.ball_image or other.ball_image,
             exposure=other.exposure if self.exposure is None else self.exposure,
             exposure_std=other.exposure_std if keeps_exposure else self.exposure_std,
+            readout=other.readout if self.readout is None else self.readout,
             background=self.background or other.background,
             estimator=self.estimator or other.estimator,
             options={**(other.options if same_estimator else {}), **self.options},
@@ -86,6 +88,7 @@ def read_rig(path: Path) -> Rig:
         ball=None if "file" not in ball else path.parent / ball["file"],
         exposure=exposure.get("time_s"),
         exposure_std=exposure.get("time_std_s"),
+        readout=exposure.get("readout_s"),
         background=_backgrounds(path, table.get("background", {}).get("images", [])),
         estimator=estimator,
         options={key: _as_option_text(path, key, value) for key, value in measure.items()},

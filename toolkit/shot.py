@@ -3,7 +3,6 @@
 What the caller says beats the rig, and the rig beats what the picture's file tells.
 """
 
-import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -13,24 +12,20 @@ from toolkit.alpha import AlphaEstimator
 from toolkit.camera import Camera
 from toolkit.camera_file import fit_camera, read_camera
 from toolkit.candidates import AUTO, Candidates, make_candidates, what_is_needed
-from toolkit.errors import ConfigError, ImageError, MismatchError, StreakError
+from toolkit.errors import ConfigError, ImageError, StreakError
 from toolkit.files import sha256
 from toolkit.imaging import read_background, read_image
 from toolkit.known_ball import know_ball
 from toolkit.measurement import Candidate, Caution, InputFile, Inputs, Measurement
-from toolkit.pipeline import measure
+from toolkit.pipeline import STAGES, measure
 from toolkit.rig import Colour, Rig, read_rig
 from toolkit.selection import Selection, select_estimator
+from toolkit.shot_checks import Roi, check_numbers, check_readout, check_roi, check_size
 from toolkit.types import LinearImage
 
 DEFAULT_ESTIMATOR = "uniform"
+DEFAULT_STAGE = "contours"
 RIG_NAME, CAMERA_NAME = "rig.toml", "camera.toml"
-
-RADIUS_LIMITS = (1e-6, 1e4)
-EXPOSURE_LIMITS = (1e-9, 1e5)
-"""Metre and second; beyond these lies no ball and no shutter, but a slip of the keyboard."""
-
-Roi = tuple[int, int, int, int]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,6 +39,8 @@ class ShotInputs:
     ball_radius_std: float  # metre
     exposure: float | None  # second
     exposure_std: float  # second
+    readout: float  # second from the first row's start to the last row's; 0: all rows at once
+    stage: str  # at which to stop
     estimator_name: str  # or "auto", which tries all candidates
     candidates: Candidates
     roi: Roi | None  # left, top, width, height px
@@ -67,6 +64,7 @@ def load_shot(
     ball_radius: float | None = None,
     ball_radius_std: float | None = None,
     exposure: float | None = None,
+    readout: float | None = None,
     response: str | Path | None = None,
     estimator: str | None = None,
     options: Mapping[str, str] | None = None,
@@ -75,6 +73,7 @@ def load_shot(
     ball_image: str | Path | None = None,
     roi: Roi | None = None,
     frame: int | None = None,
+    stage: str = DEFAULT_STAGE,
 ) -> ShotInputs:
     """Read a shot and everything that is needed to measure it.
 
@@ -89,6 +88,8 @@ def load_shot(
         ball_radius: metre.
         ball_radius_std: its standard deviation, metre; 0 when nobody says.
         exposure: second; else the rig's, else that of the file.
+        readout: second from the start of the first row's exposure to that of the last row's; 0, all
+            rows at once, when nobody says.
         response: "linear", "srgb", the name of a curve, or a response.toml.
         estimator: name of the estimator; "uniform" when nobody says.
         options: text by field name of the estimator, as `--set` writes it.
@@ -97,6 +98,7 @@ def load_shot(
         ball_image: a sharp picture of the ball in the same light, over the same background.
         roi: left, top, width, height of the part that holds the streak, px.
         frame: which picture of a video.
+        stage: the last one of the measurement, of `pipeline.STAGES`.
 
     Raises:
         ConfigError: naming everything that is missing, or a value that is impossible.
@@ -114,17 +116,19 @@ def load_shot(
         ball=None if ball is None else Path(ball),
         ball_image=None if ball_image is None else Path(ball_image),
         exposure=exposure,
+        readout=readout,
         background=tuple(Path(path) for path in background),
         estimator=estimator,
         options=options or {},
     )
+    _check_stage(stage)
     shot = Path(shot)
     if shot.is_dir() or not shot.exists():
         trouble = "is a folder" if shot.is_dir() else "does not exist"
         raise ImageError(f"{shot} {trouble}; give the path of a picture or video")
     rig_file = _find_rig(shot, None if rig is None else Path(rig))
     settings = said if rig_file is None else said.over(read_rig(rig_file))
-    return _read_shot(_plan(shot, rig_file, settings), roi, frame)
+    return _read_shot(_plan(shot, rig_file, settings), roi, frame, stage)
 
 
 def measure_shot(shot: ShotInputs) -> Measurement:
@@ -151,6 +155,8 @@ def measure_shot(shot: ShotInputs) -> Measurement:
         exposure_std=shot.exposure_std,
         estimator=estimator,
         roi=shot.roi,
+        stage=shot.stage,
+        readout=shot.readout,
     )
     seconds = {"read": shot.read_time, "measure": time.perf_counter() - selected}
     if tried:
@@ -200,6 +206,11 @@ class _Plan:
         return (*named, *self.settings.background, *self.candidates.files)
 
 
+def _check_stage(stage: str) -> None:
+    if stage not in STAGES:
+        raise ConfigError(f"stage '{stage}' is unknown; use one of {', '.join(STAGES)}")
+
+
 def _find_rig(shot: Path, rig: Path | None) -> Path | None:
     beside = shot.parent / RIG_NAME
     return rig or (beside if beside.is_file() else None)
@@ -224,7 +235,7 @@ def _plan(shot: Path, rig: Path | None, settings: Rig) -> _Plan:
     ]
     if camera is None or radius is None or missing:
         raise ConfigError(f"{shot} cannot be measured without {'; and '.join(missing)}")
-    _check_numbers(radius, settings)
+    check_numbers(radius, settings)
     return _Plan(
         shot=shot,
         rig=rig,
@@ -236,22 +247,26 @@ def _plan(shot: Path, rig: Path | None, settings: Rig) -> _Plan:
     )
 
 
-def _read_shot(plan: _Plan, roi: Roi | None, frame: int | None) -> ShotInputs:
+def _read_shot(plan: _Plan, roi: Roi | None, frame: int | None, stage: str) -> ShotInputs:
     start = time.perf_counter()
     settings = plan.settings
     camera = read_camera(plan.camera)
     image = read_image(plan.shot, response=settings.response, frame=frame)
     background = read_background(settings.background, response=settings.response)
-    _check_size(plan.shot, image, settings.background[0], background)
-    _check_roi(roi, image)
+    check_size(plan.shot, image, settings.background[0], background)
+    check_roi(roi, image)
+    exposure, readout = _exposure(settings, image), float(settings.readout or 0.0)
+    check_readout(readout, exposure)
     return ShotInputs(
         image=image,
         background=background,
         camera=fit_camera(camera, image),
         ball_radius=plan.ball_radius,
         ball_radius_std=float(settings.ball_radius_std or 0.0),
-        exposure=_exposure(settings, image),
+        exposure=exposure,
         exposure_std=float(settings.exposure_std or 0.0),
+        readout=readout,
+        stage=stage,
         estimator_name=plan.estimator_name,
         candidates=plan.candidates,
         roi=roi,
@@ -265,46 +280,6 @@ def _read_shot(plan: _Plan, roi: Roi | None, frame: int | None) -> ShotInputs:
         provenance=_provenance(settings, image),
         read_time=time.perf_counter() - start,
     )
-
-
-def _check_numbers(ball_radius: float, settings: Rig) -> None:
-    for what, value, unit, limits in (
-        ("ball's radius", ball_radius, "m", RADIUS_LIMITS),
-        ("exposure time", settings.exposure, "s", EXPOSURE_LIMITS),
-    ):
-        if value is not None and not limits[0] <= value <= limits[1]:
-            span = f"from {limits[0]:g} to {limits[1]:g} {unit}"
-            raise ConfigError(f"the {what} is {value:g} {unit}; a number {span} is needed")
-    for what, value, unit in (
-        ("ball's radius", settings.ball_radius_std, "m"),
-        ("exposure time", settings.exposure_std, "s"),
-    ):
-        if value is not None and not (math.isfinite(value) and value >= 0):
-            raise ConfigError(
-                f"the standard deviation of the {what} is {value:g} {unit}; "
-                "zero or a positive number is needed"
-            )
-
-
-def _check_size(shot: Path, image: LinearImage, other: Path, background: LinearImage) -> None:
-    sizes = [f"{picture.width}x{picture.height}" for picture in (image, background)]
-    if sizes[0] != sizes[1]:
-        raise MismatchError(
-            f"{shot} has {sizes[0]} pixels but the background {other} has {sizes[1]}; "
-            "take both with the same settings"
-        )
-
-
-def _check_roi(roi: Roi | None, image: LinearImage) -> None:
-    if roi is None:
-        return
-    left, top, width, height = roi
-    fits = left + width <= image.width and top + height <= image.height
-    if min(left, top) < 0 or min(width, height) <= 0 or not fits:
-        raise ConfigError(
-            f"roi {left},{top},{width},{height} (left, top, width, height) is not inside the "
-            f"picture of {image.width}x{image.height} pixels"
-        )
 
 
 def _exposure(settings: Rig, image: LinearImage) -> float | None:
@@ -321,7 +296,11 @@ def _provenance(settings: Rig, image: LinearImage) -> dict[str, str]:
         "ball_radius_std": settings.ball_radius_std is not None,
     }
     if _exposure(settings, image) is not None:
-        sources |= {"exposure": True, "exposure_std": settings.exposure_std is not None}
+        sources |= {
+            "exposure": True,
+            "exposure_std": settings.exposure_std is not None,
+            "readout": settings.readout is not None,
+        }
     return {key: "measured" if known else "assumed" for key, known in sources.items()}
 
 

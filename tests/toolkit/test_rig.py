@@ -18,6 +18,7 @@ colours = [[0.5, 0.6, 1], [0.1, 0.1, 0.1]]
 [exposure]
 time_s = 0.01
 time_std_s = 1e-5
+readout_s = 0.02
 [background]
 images = ["empty.png", "bg/*.png"]
 [measure]
@@ -47,6 +48,7 @@ def test_every_key_is_read_and_paths_start_at_the_rig(tmp_path):
         ball_colours=((0.5, 0.6, 1.0), (0.1, 0.1, 0.1)),
         exposure=0.01,
         exposure_std=1e-5,
+        readout=0.02,
         background=(tmp_path / "empty.png", tmp_path / "bg/a.png", tmp_path / "bg/b.png"),
         estimator="uniform",
         options={"colour": "0.5,0.25,1", "careful": "true", "steps": "3", "label": "a"},
@@ -75,6 +77,7 @@ def test_absolute_paths_stay(tmp_path):
         ("[background]\nimages = [3]", "image 3 is not a path"),
         ("[background]\nimages = ['none/*.png']", r"no picture matches 'none/\*.png'"),
         ("[response]\nkind = 'srgb'\nfile = 'r.toml'", "both kind and file"),
+        ("[exposure]\nreadout_s = 'fast'", "'readout_s' is 'fast'; a float is needed"),
         ("[measure]\nestimator = 3", "'estimator' is 3; a str is needed"),
         ("[measure]\nmap = {a = 1}", "'map' is {'a': 1}; a number, text or list is needed"),
         ("camera = 'c.toml'", "'camera' is 'c.toml'; a dict is needed"),
@@ -91,6 +94,8 @@ def test_flags_beat_the_rig():
     both = flags.over(rig)
     assert (both.camera, both.response, both.exposure) == (Path("a"), "linear", 2.0)
     assert both.background == (Path("b"),)
+    assert Rig(readout=0.0).over(Rig(readout=0.02)).readout == 0
+    assert flags.over(Rig(readout=0.02, exposure=1.0)).readout == 0.02
 
 
 def test_standard_deviation_stays_with_its_own_value():

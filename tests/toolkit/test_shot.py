@@ -38,6 +38,7 @@ colours = [[0.1, 0.2, 0.3]]
 [exposure]
 time_s = 0.5
 time_std_s = 0.01
+readout_s = 0.03
 [background]
 images = ["empty.png"]
 """
@@ -54,6 +55,7 @@ def test_flags_alone(folder):
     assert shot.provenance["exposure"] == "measured"
     assert shot.provenance["ball_radius_std"] == "assumed"
     assert shot.provenance["response"] == "measured"
+    assert (shot.readout, shot.provenance["readout"]) == (0.0, "assumed")
 
 
 def test_inputs_carry_their_hashes(folder):
@@ -70,13 +72,15 @@ def test_rig_in_the_folder_is_enough(folder):
     assert (shot.ball_radius, shot.ball_radius_std) == (0.02, 0.001)
     assert (shot.exposure, shot.exposure_std) == (0.5, 0.01)
     assert shot.estimator.colour == (0.1, 0.2, 0.3)
-    assert shot.provenance["exposure_std"] == "measured"
+    assert shot.readout == 0.03
+    assert shot.provenance["exposure_std"] == shot.provenance["readout"] == "measured"
 
 
 def test_flags_beat_the_rig_and_the_rig_the_file(folder):
     write_rig(folder, RIG)
     shot = load(folder, exposure=0.25)
     assert (shot.ball_radius, shot.exposure, shot.exposure_std) == (0.036, 0.25, 0.0)
+    assert (shot.readout, load(folder, readout=0.0).readout) == (0.03, 0.0)
     assert shot.estimator.colour == COLOUR
 
 
@@ -104,7 +108,12 @@ def test_exposure_may_be_unknown(folder):
     write_png16(folder / "shot.png", np.linspace(0.2, 0.4, 3600).reshape(3, 30, 40))
     shot = load(folder)
     assert shot.exposure is None
-    assert "exposure" not in shot.provenance
+    assert not {"exposure", "readout"} & set(shot.provenance)
+    with pytest.raises(
+        ConfigError, match=r"a readout of 0\.02 s says nothing without"
+    ):
+        load(folder, readout=0.02)
+    assert load(folder, readout=0.02, exposure=0.1).readout == 0.02
 
 
 @pytest.mark.parametrize(
@@ -118,6 +127,8 @@ def test_exposure_may_be_unknown(folder):
         ({"ball_radius_std": -1.0}, "deviation of the ball's radius is -1 m; zero or a positive"),
         ({"exposure": -0.1}, "the exposure time is -0.1 s; a number from"),
         ({"exposure": float("inf")}, "the exposure time is inf"),
+        ({"readout": -0.1}, "the readout time is -0.1 s; a number from 0 to"),
+        ({"stage": "edges"}, "stage 'edges' is unknown; use one of profiles, contours, sweep"),
         ({"roi": (0, 0, 41, 30)}, r"roi 0,0,41,30 .* is not inside the picture of 40x30"),
         ({"roi": (-1, 0, 4, 4)}, "roi -1,0,4,4"),
         ({"roi": (1, 1, 0, 4)}, "roi 1,1,0,4"),
@@ -151,6 +162,20 @@ def test_background_of_another_size(folder):
     write_png16(folder / "empty.png", np.linspace(0.2, 0.4, 2400).reshape(3, 20, 40))
     with pytest.raises(MismatchError, match=r"shot.png has 40x30 .*empty.png has 40x20"):
         load(folder)
+
+
+def test_stage_and_readout_reach_the_measurement(folder, monkeypatch):
+    seen: dict[str, object] = {}
+
+    def keep(image, background, **rest):
+        seen.update(rest)
+        return Measurement()
+
+    monkeypatch.setattr(toolkit.shot, "measure", keep)
+    measure_shot(load(folder, stage="profiles", readout=0.02))
+    assert (seen["stage"], seen["readout"]) == ("profiles", 0.02)
+    measure_shot(load(folder))
+    assert (seen["stage"], seen["readout"]) == (toolkit.shot.DEFAULT_STAGE, 0.0)
 
 
 def stand_in(**wanted: object) -> Measurement:

@@ -81,7 +81,7 @@ def _required(image: Path | None, background: list[Path] | None) -> tuple[Path, 
 def _check_radius(radius: float | None) -> None:
     if radius is None:
         return
-    from toolkit.shot import RADIUS_LIMITS
+    from toolkit.shot_checks import RADIUS_LIMITS
 
     if not RADIUS_LIMITS[0] <= radius <= RADIUS_LIMITS[1]:
         span = f"from {RADIUS_LIMITS[0]:g} to {RADIUS_LIMITS[1]:g} m"

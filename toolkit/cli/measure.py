@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -11,6 +11,8 @@ from toolkit.option_text import parse_colours, parse_option, parse_settings
 
 if TYPE_CHECKING:
     from toolkit.measurement import Measurement
+
+Stage = Literal["profiles", "contours", "sweep"]
 
 
 def measure(
@@ -35,6 +37,12 @@ def measure(
     exposure: Annotated[
         float | None,
         typer.Option(metavar="SECONDS", help="The exposure time; by default the file's own."),
+    ] = None,
+    readout: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS", help="From the start of the first row to that of the last row [0]."
+        ),
     ] = None,
     response: Annotated[
         str | None,
@@ -75,6 +83,9 @@ def measure(
     frame: Annotated[
         int | None, typer.Option(metavar="N", help="Which picture of a video, from 0.")
     ] = None,
+    stage: Annotated[
+        Stage | None, typer.Option(help="Where to stop; the last one is the most accurate.")
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(metavar="F.json", help="Write the measurement here.")
     ] = None,
@@ -95,7 +106,7 @@ def measure(
 
     from toolkit.measurement import Measurement
     from toolkit.report import summarise, write_overlay
-    from toolkit.shot import load_shot, measure_shot, refuse_shot
+    from toolkit.shot import DEFAULT_STAGE, load_shot, measure_shot, refuse_shot
 
     try:
         loaded = load_shot(
@@ -106,6 +117,7 @@ def measure(
             ball_radius=radius,
             ball_radius_std=radius_std,
             exposure=exposure,
+            readout=readout,
             response=response,
             estimator=estimator,
             options=options,
@@ -114,6 +126,7 @@ def measure(
             ball_image=ball_image,
             roi=corner_and_size,
             frame=frame,
+            stage=stage or DEFAULT_STAGE,
         )
     except CalibrationError as error:
         # no file yet: which ones were read, and must not be replaced, is not known

@@ -1,5 +1,6 @@
 import json
 from pathlib import Path
+from typing import get_args
 
 import cv2
 import numpy as np
@@ -8,7 +9,9 @@ import pytest
 import toolkit.shot
 from toolkit import Measurement, StreakError
 from toolkit.cli.main import main
+from toolkit.cli.measure import Stage
 from toolkit.imaging import write_png16
+from toolkit.pipeline import STAGES
 
 
 @pytest.fixture
@@ -42,13 +45,31 @@ def refusing(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_flags_reach_the_measurement(words, seen, capsys):
     more = ["--exposure", "0.02", "--radius-std", "0.001", "--roi", "1,2,30,20"]
+    more += ["--readout", "0.005", "--stage", "profiles"]
     assert main([*words, *more, "--set", "colour=1,1,1"]) == 0
     assert (seen["ball_radius"], seen["ball_radius_std"]) == (0.036, 0.001)
     assert (seen["exposure"], seen["roi"]) == (0.02, (1, 2, 30, 20))
+    assert (seen["readout"], seen["stage"]) == (0.005, "profiles")
     assert seen["estimator"].colour == (1.0, 1.0, 1.0)
     out, err = capsys.readouterr()
     assert "7.25 m/s" in out
     assert err == ""
+
+
+def test_every_stage_can_be_named(words, seen):
+    assert get_args(Stage) == STAGES
+    for stage in STAGES:
+        assert main([*words, "--stage", stage]) == 0
+        assert seen["stage"] == stage
+
+
+def test_readout_without_an_exposure_time_is_one_line_and_2(words, seen, folder, capsys):
+    write_png16(folder / "shot.png", np.linspace(0.2, 0.4, 3600).reshape(3, 30, 40))
+    assert main([*words, "--readout", "0.01"]) == 2
+    out, err = capsys.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+    assert "give --exposure, or --readout 0" in err
+    assert main([*words, "--readout", "0"]) == 0
 
 
 def test_json_is_one_object_alone_on_stdout(words, seen, capsys):
@@ -111,6 +132,10 @@ def test_missing_inputs_are_one_line_and_2(folder, capsys):
         (["--radius-std", "nan"], 2, "deviation of the ball's radius is nan m"),
         (["--exposure", "nan"], 2, "the exposure time is nan s; a number from 1e-09 to 100000 s"),
         (["--exposure", "1e-300"], 2, "the exposure time is 1e-300 s"),
+        (["--readout", "-0.01"], 2, "the readout time is -0.01 s; a number from 0 to 100000 s"),
+        (["--readout", "nan"], 2, "the readout time is nan s"),
+        (["--readout", "slow"], 2, "--readout"),
+        (["--stage", "edges"], 2, "'edges' is not one of 'profiles', 'contours', 'sweep'"),
         (["--roi", "30,0,20,20"], 2, "is not inside the picture of 40x30"),
         (["--set", "shine=1"], 2, "has no field 'shine'; its fields are: colour"),
         (["--response", "shiny"], 2, "response 'shiny' is neither a file nor a known curve"),
