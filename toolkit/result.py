@@ -1,5 +1,6 @@
 """Turning what was found into a `Measurement`: both signs, budget, cautions, plain numbers."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import torch
@@ -21,7 +22,7 @@ from toolkit.measurement import (
     numbers,
 )
 from toolkit.motion import DEPTH, PATH, SPEED, Motion
-from toolkit.types import ProfileFit
+from toolkit.types import Contours, ProfileFit
 from toolkit.uncertainty import Uncertainty, duration_std
 
 DISAGREEMENT = 0.02
@@ -30,6 +31,31 @@ UNTOLD = 0.05
 """Relative standard deviation of the opacity that a colour found leaves, from which it is said."""
 WARNED_MISFIT = 1.5
 """Chi-square per degree of freedom of the profiles beyond which a warning is due."""
+
+Check = tuple[bool, str, str]
+"""Whether a caution is due, its code, and its message."""
+
+
+def describe_profiles(
+    fit: ProfileFit, contours: Contours, *, drift: Tensor | None = None
+) -> Measurement:
+    """Report what the profiles tell in the picture, where the measurement stops at them.
+
+    Position, motion and path are None: no camera has been looked through yet.
+
+    Args:
+        fit: of all profiles, its axis running to the right in the picture, or down.
+        contours: through their edges.
+        drift: change of the light since the background [3]; None where nobody looked.
+    """
+    light = [] if drift is None else [_light_check(drift)]
+    return Measurement(
+        stage="profiles",
+        contours=_contour_points(contours),
+        profiles=_profile_table(fit),
+        fit=_summary(fit),
+        warnings=_due([*_profile_checks(fit), *light]),
+    )
 
 
 def describe(
@@ -57,9 +83,7 @@ def describe(
         direction=numbers(_unit(found.motion.displacement)),
         sign=_open_sign(found.motion, exposure),
         trajectory=_path(found.motion, std, exposure),
-        contours=ContourPoints(
-            left=numbers(found.contours.points[0]), right=numbers(found.contours.points[1])
-        ),
+        contours=_contour_points(found.contours),
         profiles=_profile_table(found.fit),
         budget=Budget(
             speed=None if exposure is None else _shares(uncertainty, SPEED),
@@ -115,6 +139,10 @@ def _path(motion: Motion, std: Tensor, exposure: float | None) -> PathSamples:
     )
 
 
+def _contour_points(contours: Contours) -> ContourPoints:
+    return ContourPoints(left=numbers(contours.points[0]), right=numbers(contours.points[1]))
+
+
 def _profile_table(fit: ProfileFit) -> ProfileTable:
     return ProfileTable(
         centre_px=numbers(fit.middle[0]),
@@ -166,9 +194,7 @@ def _cautions(
     duration = float(found.motion.duration)
     chance = duration_std(found, uncertainty.noise)
     bend = float(found.axis.curve.curvature_radius(found.opacity.s[good]).min())
-    misfit = float(found.fit.chi2_per_dof[0][good].median())
-    change = float((drift - 1).abs().max())
-    checks: list[tuple[bool, str, str]] = [
+    checks = [
         (
             exposure is None,
             "exposure-unknown",
@@ -199,6 +225,15 @@ def _cautions(
             f"the path bends with a radius of {bend:.3g} m, less than the ball's; "
             "the contours do not fix it there",
         ),
+        *_profile_checks(found.fit),
+        _light_check(drift),
+    ]
+    return _due(checks)
+
+
+def _profile_checks(fit: ProfileFit) -> list[Check]:
+    misfit = float(fit.chi2_per_dof[0][fit.good[0]].median())
+    return [
         (
             misfit > WARNED_MISFIT,
             "profiles-misfit",
@@ -207,18 +242,25 @@ def _cautions(
             "the uncertainties are widened by as much",
         ),
         (
-            found.fit.common_misfit > MISSHAPEN,
+            fit.common_misfit > MISSHAPEN,
             "profiles-misshapen",
             "all profiles differ alike from the shape that this estimator expects, by "
-            f"{found.fit.common_misfit:.0f} times the variance of their mean (shading, a pattern, "
+            f"{fit.common_misfit:.0f} times the variance of their mean (shading, a pattern, "
             "a wrong colour or response); width and depth may be wrong, and the uncertainties are "
             "widened; another estimator may suit the ball, and --estimator auto tries all",
         ),
-        (
-            change > 0,
-            "background-brightness",
-            f"the light changed by {100 * change:.1f} % since the background was taken; "
-            "the background was scaled",
-        ),
     ]
+
+
+def _light_check(drift: Tensor) -> Check:
+    change = float((drift - 1).abs().max())
+    return (
+        change > 0,
+        "background-brightness",
+        f"the light changed by {100 * change:.1f} % since the background was taken; "
+        "the background was scaled",
+    )
+
+
+def _due(checks: Iterable[Check]) -> tuple[Caution, ...]:
     return tuple(Caution(code=code, message=message) for is_due, code, message in checks if is_due)

@@ -2,8 +2,12 @@
 
 import math
 from collections.abc import Iterable, Sequence
+from statistics import median
 
-from toolkit.measurement import Measurement, ProfileTable, Shares, Sign
+from toolkit.measurement import Bound, Measurement, ProfileTable, Shares, Sign
+
+PROFILES = "profiles"
+"""The stage that looks through no camera yet."""
 
 
 def summarise(measurement: Measurement) -> str:
@@ -14,17 +18,23 @@ def summarise(measurement: Measurement) -> str:
         ("speed", _speed(measurement)),
         ("velocity", _vector(measurement.velocity_m_s, "m/s")),
         *_sign_rows(measurement.sign),
-        ("time", _number(measurement.time_s, "s after the exposure began")),
+        ("time", _number(measurement.time_s, "s after the first row's exposure began")),
         ("profiles", _profiles(measurement.profiles)),
         ("fit", _fit(measurement)),
+        ("bound", _bound(measurement.bound)),
         *_budget_rows(measurement),
         *(("caution", caution.message) for caution in measurement.warnings),
     ]
-    head = "refused: " + (measurement.reason or "no reason given")
-    if measurement.status == "ok":
-        head = f"estimator {measurement.estimator}, stage {measurement.stage}, camera frame: "
-        head += "x right, y down, z forward"
-    return "\n".join([head, *(f"  {name:<10} {text}" for name, text in rows if text)])
+    return "\n".join([_head(measurement), *(f"  {name:<10} {text}" for name, text in rows if text)])
+
+
+def _head(measurement: Measurement) -> str:
+    if measurement.status != "ok":
+        return "refused: " + (measurement.reason or "no reason given")
+    frame = "camera frame: x right, y down, z forward"
+    if measurement.stage == PROFILES:
+        frame = "pixels of the stored picture; nothing in space"
+    return f"estimator {measurement.estimator}, stage {measurement.stage}, {frame}"
 
 
 def _vector(values: Sequence[float] | None, unit: str = "") -> str:
@@ -53,9 +63,12 @@ def _number(value: float | None, unit: str) -> str:
 
 
 def _speed(measurement: Measurement) -> str:
+    if measurement.stage == PROFILES:
+        return ""
+    if measurement.speed_upper_m_s is not None:
+        return f"at most {measurement.speed_upper_m_s:.2g} m/s (95 %): it may have stood still"
     if measurement.speed_m_s is None:
-        limit = measurement.speed_upper_m_s
-        return "unknown" if limit is None else f"below {limit:.4g} m/s"
+        return "unknown"
     if measurement.speed_std_m_s is None:
         return f"{measurement.speed_m_s:.5g} m/s"
     return f"{_with_std(measurement.speed_m_s, measurement.speed_std_m_s)} m/s"
@@ -64,20 +77,37 @@ def _speed(measurement: Measurement) -> str:
 def _sign_rows(sign: Sign | None) -> Iterable[tuple[str, str]]:
     if sign is None:
         return []
-    reported = f"probability {sign.probability:.2f}"
     if not sign.ambiguous:
-        return [("sign", f"settled by {sign.cue}, {reported}")]
-    rows = [("sign", f"open, {reported}; the picture fits these directions as well:")]
+        return [("sign", f"settled by {sign.cue}, {_odds(sign.probability)}")]
+    is_even = all(other.probability == sign.probability for other in sign.alternatives)
+    rest = "the picture fits these directions as well:"
+    if not is_even:
+        rest = f"{sign.cue or 'the picture'} does not settle it; the others:"
+    rows = [("sign", f"open, probability {sign.probability:.2f}; {rest}")]
     return rows + [
         ("", f"{_vector(other.direction)}, probability {other.probability:.2f}")
         for other in sign.alternatives
     ]
 
 
+def _odds(probability: float) -> str:
+    """Write a probability near 1 so that a reader sees how near."""
+    against = 1 - probability
+    if against < 1e-6:
+        return "odds above a million to one"
+    return f"odds {probability / against:.3g} to 1"
+
+
 def _profiles(table: ProfileTable | None) -> str:
     if table is None:
         return ""
-    return f"{sum(flag == 0 for flag in table.flags)} of {len(table.flags)} used"
+    rows = zip(table.flags, table.half_width_px, table.opacity, strict=True)
+    good = [(half_width, opacity) for flag, half_width, opacity in rows if flag == 0]
+    used = f"{len(good)} of {len(table.flags)} used"
+    if not good:
+        return used
+    half_width, opacity = (median(column) for column in zip(*good, strict=True))
+    return f"{used}, half width {half_width:.2f} px, opacity {opacity:.3f} (medians)"
 
 
 def _fit(measurement: Measurement) -> str:
@@ -85,6 +115,16 @@ def _fit(measurement: Measurement) -> str:
     if fit is None:
         return ""
     return f"chi2 per degree of freedom {fit.chi2_per_dof:.2f} over {fit.pixels} samples"
+
+
+def _bound(bound: Bound | None) -> str:
+    """Say the smallest standard deviations that any measurement of this picture can have."""
+    if bound is None:
+        return ""
+    axes = " ".join(f"{a} {s:.2g}" for a, s in zip("xyz", bound.position_std_m, strict=True))
+    speed = "" if bound.speed_std_m_s is None else f", speed {bound.speed_std_m_s:.2g} m/s"
+    share = "" if bound.efficiency is None else f"; efficiency {bound.efficiency:.2f}"
+    return f"at best {axes} m{speed}{share}"
 
 
 def _budget_rows(measurement: Measurement) -> Iterable[tuple[str, str]]:
