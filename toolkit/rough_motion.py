@@ -1,0 +1,91 @@
+"""The rough motion from which an exact fit starts where profiles say nothing.
+
+A streak shorter than about two and a half widths has no profile that the ball's first and last
+image leave alone, and one with a corner has none about it. The opacity is there all the same: it is
+the mean of the discs that the ball covered. A path is fitted to it on blocks of pixels about a
+sixth of the ball's radius wide, first from the opacity's moments.
+[derived]
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from toolkit.alpha import AlphaEstimator
+from toolkit.camera import Camera
+from toolkit.rough_fit import RoughPath, fit_disc
+from toolkit.rough_pixels import Spread, block_pixels, spread_of
+from toolkit.view import StreakView
+
+PATH_POINTS = 65
+"""Instants at which the path is given."""
+FIRST_TRAVEL = 0.3
+"""Half widths: with no travel at all nothing would tell the fit which way to go on."""
+LEAST_TRAVEL = 0.05
+"""Ball radii: how far a still ball is said to travel."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RoughMotion:
+    """Where the ball went, to about a tenth of its radius."""
+
+    path: Tensor  # [N, 3] m, at equal shares of the exposure from start to end
+    corner: float | None  # share of the exposure, -0.5 to 0.5, at which the path turns a corner
+    colour: Tensor | None  # [A] what the estimator leaves open of the ball's looks
+
+
+def rough_motion(
+    view: StreakView, estimator: AlphaEstimator, camera: Camera, ball_radius: float
+) -> RoughMotion:
+    """Find roughly how the ball moved, from the opacity of all pixels about its streak.
+
+    Args:
+        view: the streak and its surroundings.
+        estimator: of the ball's opacity; what it leaves open is found too.
+        camera: of the shot.
+        ball_radius: m.
+
+    Returns:
+        RoughMotion of the branch that moves right in the picture, or down, or away.
+    """
+    blocks = block_pixels(view, camera)
+    start = _straight_path(spread_of(blocks, estimator), camera, ball_radius)
+    found = fit_disc(blocks, estimator, camera, start, ball_radius)
+    path = found.path.at(torch.linspace(-0.5, 0.5, PATH_POINTS, dtype=torch.float64))
+    path = _lengthened(path, camera, ball_radius)
+    if not _runs_forward(path, camera):
+        path = path.flip(0)
+    return RoughMotion(path=path, corner=None, colour=found.colour)
+
+
+def _straight_path(spread: Spread, camera: Camera, ball_radius: float) -> RoughPath:
+    """Place a straight path, square to the line of sight, where moments say that it is."""
+    travel = max(spread.length, FIRST_TRAVEL * spread.half_width) * spread.direction
+    across = spread.half_width * torch.stack([-spread.direction[1], spread.direction[0]])
+    sides = torch.stack([-travel / 2, travel / 2, -across, across])
+    first, last, left, right = camera.unproject(spread.centre + sides)
+    # the ball touches the cone that its outline makes
+    half_angle = torch.atan2(
+        torch.linalg.vector_norm(right - left), torch.linalg.vector_norm(right + left)
+    )
+    distance = ball_radius / half_angle.sin()
+    return RoughPath(coefficients=distance * torch.stack([(first + last) / 2, last - first]))
+
+
+def _lengthened(path: Tensor, camera: Camera, ball_radius: float) -> Tensor:
+    """Let a path of hardly any length have a little, to the right in the picture."""
+    shortest = LEAST_TRAVEL * ball_radius
+    if float(torch.linalg.vector_norm(path[-1] - path[0])) >= shortest:
+        return path
+    share = torch.linspace(-0.5, 0.5, len(path), dtype=path.dtype)
+    right = torch.tensor([shortest, 0.0, 0.0], dtype=path.dtype)
+    return path.mean(0) + share[:, None] * right
+
+
+def _runs_forward(path: Tensor, camera: Camera) -> bool:
+    """Whether a path runs right in the picture, or down where it is upright, or away."""
+    dx, dy = (camera.project(path[-1]) - camera.project(path[0])).tolist()
+    if max(abs(dx), abs(dy)) > 0:
+        return bool(dx > 0 if abs(dx) > 1e-6 * abs(dy) else dy > 0)
+    return float(path[-1, 2] - path[0, 2]) >= 0
