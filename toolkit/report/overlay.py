@@ -45,8 +45,9 @@ def draw_overlay(image: LinearImage, measurement: Measurement) -> Picture:
     if contours is not None:
         if measurement.profiles is not None:
             _draw_profiles(picture, measurement.profiles, contours, pen)
-        is_open = measurement.sign is None or measurement.sign.ambiguous
-        _draw_axis(picture, contours, pen, arrow=not is_open)
+        if measurement.speed_upper_m_s is None:  # else it may have stood still, without any axis
+            is_open = measurement.sign is None or measurement.sign.ambiguous
+            _draw_axis(picture, contours, pen, arrow=not is_open)
         _draw_line(picture, np.array(contours.left), CONTOUR, pen)
         _draw_line(picture, np.array(contours.right), CONTOUR, pen)
     return picture

@@ -82,6 +82,21 @@ def test_arrow_only_where_the_sign_is_settled():
     assert np.array_equal(open_sign[:, :160], draw_overlay(flat_image(0.2), settled)[:, :160])
 
 
+def test_a_ball_that_may_have_stood_still_has_no_axis():
+    still = replace(level_streak(), speed_upper_m_s=0.1)
+    picture = draw_overlay(flat_image(0.2), still)
+    assert is_near(picture[30, 75], CONTOUR)
+    assert tuple(picture[60, 75]) == tuple(picture[0, 0])
+
+
+def test_what_was_not_found_is_not_drawn():
+    alone = Measurement(contours=level_streak().contours)
+    picture = draw_overlay(flat_image(0.2), alone)
+    assert is_near(picture[30, 75], CONTOUR)
+    assert is_near(picture[60, 75], AXIS)
+    assert tuple(picture[45, 50]) == tuple(picture[0, 0])
+
+
 def test_lines_grow_with_the_picture():
     small = draw_overlay(flat_image(0.2), level_streak())
     large = draw_overlay(flat_image(0.2, 4200, 120), level_streak())
