@@ -55,7 +55,7 @@ class Sign:
 
     ambiguous: bool
     probability: float  # of the branch reported
-    cue: str | None = None  # what decided, None while open
+    cue: str | None = None  # what tells it, such as "readout"; None where nothing does
     alternatives: tuple[Alternative, ...] = ()  # the branches not reported
 
 
@@ -63,7 +63,7 @@ class Sign:
 class PathSamples:
     """The path of the ball's centre; time and velocity are None without an exposure time."""
 
-    time_s: tuple[float, ...] | None  # [N] from the start of the exposure
+    time_s: tuple[float, ...] | None  # [N] from the start of the first row's exposure
     position_m: tuple[Vector, ...]  # [N]
     velocity_m_s: tuple[Vector, ...] | None  # [N]
     position_std_m: tuple[Vector, ...]  # [N]
@@ -71,7 +71,7 @@ class PathSamples:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ContourPoints:
-    """The streak's two outlines, left and right when walking along the reported motion."""
+    """The streak's two sides, left and right when walking along the reported motion."""
 
     left: tuple[Pixel, ...]  # [N] px
     right: tuple[Pixel, ...]  # [N] px
@@ -147,9 +147,10 @@ class Caution:
 class Measurement:
     """Position, direction, speed and path of the ball in one picture, each with its uncertainty.
 
-    The state is that of the middle of the exposure, on the branch reported: where the sign of the
-    motion is open that is the one moving right in the picture, or down, or away. `numbers` turns
-    tensors into what the fields take.
+    The state is that of the middle of the exposure (of the ball's own row, where rows were read one
+    after another), on the branch reported: where the sign of the motion is open that is the one
+    moving right in the picture, or down, or away. `numbers` turns tensors into what the fields
+    take.
     """
 
     schema: ClassVar[str] = SCHEMA
@@ -159,15 +160,15 @@ class Measurement:
     reason: str | None = None  # why it was refused
     inputs: Inputs = field(default_factory=Inputs)
     estimator: str | None = None  # as it is declared; else its class, in lower case with hyphens
-    stage: str | None = None  # "contours": the last stage that shaped the result
-    time_s: float | None = None  # of the state; None without an exposure time
+    stage: str | None = None  # the last that shaped the result: "profiles", "contours" or "sweep"
+    time_s: float | None = None  # of the state, as in PathSamples; None without an exposure time
     position_m: Vector | None = None
     position_std_m: Vector | None = None
     velocity_m_s: Vector | None = None
     direction: Vector | None = None  # unit
     speed_m_s: float | None = None
     speed_std_m_s: float | None = None
-    speed_upper_m_s: float | None = None  # an upper limit, where the ball may have stood still
+    speed_upper_m_s: float | None = None  # with 95 % certainty, where the ball may have stood still
     state_covariance: tuple[tuple[float, ...], ...] | None = None  # [6][6] of x y z vx vy vz
     sign: Sign | None = None
     trajectory: PathSamples | None = None
