@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from toolkit.errors import StreakError
-from toolkit.splines import SIZES, SplineFit, fit_smooth, up_to
+from toolkit.splines import SIZES, SplineFit, fit_smooth, fit_smooth_columns, up_to
 from toolkit.types import Contours, ProfileFit, ProfileFlag
 
 MIN_PROFILES = 8
@@ -81,13 +81,12 @@ def smooth_parameters(fit: ProfileFit, picture: int = 0) -> Tensor:
     check_enough(fit, picture)
     position, covariance = fit.position[picture], fit.covariance[picture]
     inside = position.clamp(float(position[good].min()), float(position[good].max()))
-    sizes = orders(fit, picture)
-    columns = []
-    for index, values in enumerate((fit.centre, fit.half_width, fit.opacity)):
-        weight = torch.where(good, 1 / covariance[:, index, index], 0)
-        columns.append(fit_smooth(position, values[picture][:, None], weight, sizes)(inside))
-    skew = fit_smooth(position, fit.skew[picture][:, None], good.to(position.dtype), sizes)(inside)
-    return torch.cat([*columns, skew], dim=-1)
+    variance = covariance.diagonal(dim1=-2, dim2=-1)
+    weight = torch.where(good[:, None], 1 / variance, 0)
+    weight = torch.cat([weight, good[:, None]], dim=-1)
+    values = torch.stack([fit.centre, fit.half_width, fit.opacity, fit.skew], dim=-1)[picture]
+    columns = fit_smooth_columns(position, values[..., None], weight, orders(fit, picture))
+    return torch.cat([column(inside) for column in columns], dim=-1)
 
 
 def length_in_widths(fit: ProfileFit, picture: int = 0) -> float:
