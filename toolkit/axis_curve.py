@@ -135,8 +135,8 @@ class Edges:
 
     def rays(self, camera: Camera) -> tuple[Tensor, Tensor]:
         """Unit rays of both edges and their change for one px along the normal, [P, 2, 3] each."""
-        swing: Tensor = camera.J_unproject(self.pixels) @ self.normal[:, None, :, None]
-        return camera.unproject(self.pixels), swing[..., 0]
+        rays, J = camera.unproject_and_J(self.pixels)
+        return rays, (J @ self.normal[:, None, :, None])[..., 0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,17 +6,23 @@ top-left pixel; distortion is k1 k2 p1 p2 [k3 [k4 k5 k6]].
 """
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from functools import lru_cache
+from typing import ClassVar, TypeVar
 
 import numpy as np
 import torch
 from numpy.polynomial import Polynomial
+from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.errors import ConfigError
 
 UNDISTORT_STEPS = 12
-"""Newton steps; convergence is quadratic, and 3 or 4 are enough but near the edge of a fold."""
+"""Newton steps at most; convergence is quadratic: 3 or 4 do but near the edge of a fold."""
+UNDISTORTED = 1e-10
+"""px that the last step may move any point; the next would move it by the square of that."""
+
+Values = TypeVar("Values", Tensor, NDArray[np.float64])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -148,43 +154,55 @@ class Camera:
 
     def J_unproject(self, pixels: Tensor) -> Tensor:
         """Give the derivative of `unproject` in the pixel, [..., 3, 2]."""
+        return self.unproject_and_J(pixels)[1]
+
+    def unproject_and_J(self, pixels: Tensor) -> tuple[Tensor, Tensor]:
+        """Give `unproject` and its derivative, [..., 3] and [..., 3, 2]: most work is the same."""
         normalised = self.undistort(pixels)
         J_pixel = self._focal(pixels)[:, None] * self._J_distort(normalised)
         J_normalised = _inverse_2x2(J_pixel)
         ray = torch.cat([normalised, torch.ones_like(normalised[..., :1])], dim=-1)
-        length = torch.linalg.vector_norm(ray, dim=-1)[..., None, None]
-        unit = (ray / length[..., 0])[..., :, None]
+        length = torch.linalg.vector_norm(ray, dim=-1, keepdim=True)
+        unit = ray / length
         identity = torch.eye(3, dtype=ray.dtype, device=ray.device)
-        J_ray: Tensor = ((identity - unit @ unit.mT) / length)[..., :, :2] @ J_normalised
-        return J_ray
+        along = unit[..., :, None] @ unit[..., None, :2]
+        J_ray: Tensor = ((identity[:, :2] - along) / length[..., None]) @ J_normalised
+        return unit, J_ray
 
     def undistort(self, pixels: Tensor) -> Tensor:
         """Give the normalised coordinates (x/z, y/z) seen at each pixel, [..., 2], or NaN."""
         distorted = (pixels - self._principal_point(pixels)) / self._focal(pixels)
         if not self.distortion:
             return distorted
-        fold = self._fold()
-        normalised = distorted
+        with np.errstate(all="ignore"):  # what cannot be inverted is told from the others below
+            x, y = self._undistorted(*np.moveaxis(distorted.double().numpy(), -1, 0))
+        return torch.from_numpy(np.stack([x, y], axis=-1)).to(pixels)
+
+    def _undistorted(
+        self, seen_x: NDArray[np.float64], seen_y: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Invert `_distorted` by Newton steps; NaN where no lens shows a solution."""
+        coefficients, focal = self._coefficients(), max(self.fx, self.fy)
+        fold = _fold(coefficients)
+        x, y = seen_x, seen_y
         for _ in range(UNDISTORT_STEPS):
             # kept before the fold, where Newton cannot leave for a solution that no lens shows
-            length = torch.linalg.vector_norm(normalised, dim=-1, keepdim=True)
-            normalised = normalised * (0.999 * fold / length).clamp(max=1)
-            missing = (distorted - self._distort(normalised))[..., None]
-            step = (_inverse_2x2(self._J_distort(normalised)) @ missing)[..., 0]
-            normalised = normalised + step
-        error = (self._distort(normalised) - distorted).abs().amax(-1) * max(self.fx, self.fy)
-        is_seen = (error < 1e-6) & (torch.linalg.vector_norm(normalised, dim=-1) < fold)
-        return torch.where(is_seen[..., None], normalised, torch.nan)
-
-    def _fold(self) -> float:
-        """Normalised radius up to which radial distortion rises and has no pole, or infinity."""
-        k1, k2, _, _, k3, k4, k5, k6 = self._coefficients()
-        above, below = Polynomial([1, k1, k2, k3]), Polynomial([1, k4, k5, k6])  # in r^2
-        # numerator of the derivative of r * above / below
-        slope = above * below + Polynomial([0, 2]) * (above.deriv() * below - above * below.deriv())
-        roots = np.concatenate([slope.trim().roots(), below.trim().roots()])
-        squares = roots.real[(np.abs(roots.imag) < 1e-9 * np.abs(roots)) & (roots.real > 0)]
-        return float(squares.min()) ** 0.5 if squares.size else float("inf")
+            shrink = np.minimum(0.999 * fold / np.maximum(np.hypot(x, y), 1e-300), 1)
+            x, y = shrink * x, shrink * y
+            a, b, d = _J_distorted(x, y, coefficients)
+            now_x, now_y = _distorted(x, y, coefficients)
+            missing_x, missing_y = seen_x - now_x, seen_y - now_y
+            determinant = a * d - b * b
+            step_x = (d * missing_x - b * missing_y) / determinant
+            step_y = (a * missing_y - b * missing_x) / determinant
+            x, y = x + step_x, y + step_y
+            # False for NaN, which stays NaN
+            if not (np.maximum(np.abs(step_x), np.abs(step_y)) * focal > UNDISTORTED).any():
+                break
+        now_x, now_y = _distorted(x, y, coefficients)
+        error = np.maximum(np.abs(now_x - seen_x), np.abs(now_y - seen_y)) * focal
+        is_seen = (error < 1e-6) & (np.hypot(x, y) < fold)
+        return np.where(is_seen, x, np.nan), np.where(is_seen, y, np.nan)
 
     def _focal(self, like: Tensor) -> Tensor:
         return torch.tensor([self.fx, self.fy], dtype=like.dtype, device=like.device)
@@ -198,33 +216,59 @@ class Camera:
 
     def _distort(self, normalised: Tensor) -> Tensor:
         """Move ideal normalised points [..., 2] to where the lens shows them."""
-        k1, k2, p1, p2, k3, k4, k5, k6 = self._coefficients()
         x, y = normalised.unbind(-1)
-        r2 = x * x + y * y
-        radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-        tangential_x = 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
-        tangential_y = p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-        return torch.stack([x * radial + tangential_x, y * radial + tangential_y], dim=-1)
+        return torch.stack(_distorted(x, y, self._coefficients()), dim=-1)
 
     def _J_distort(self, normalised: Tensor) -> Tensor:
         """Derivative of `_distort`, [..., 2, 2]."""
-        k1, k2, p1, p2, k3, k4, k5, k6 = self._coefficients()
         x, y = normalised.unbind(-1)
-        r2 = x * x + y * y
-        above = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        a, b, d = _J_distorted(x, y, self._coefficients())
+        return torch.stack([a, b, b, d], dim=-1).reshape(*x.shape, 2, 2)
+
+
+def _distorted(x: Values, y: Values, coefficients: tuple[float, ...]) -> tuple[Values, Values]:
+    """Where the lens shows ideal normalised points."""
+    k1, k2, p1, p2, k3, k4, k5, k6 = coefficients
+    r2 = x * x + y * y
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    if k4 or k5 or k6:
+        radial = radial / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+    xy = 2 * x * y
+    tangential_x = p1 * xy + p2 * (r2 + 2 * x * x)
+    tangential_y = p1 * (r2 + 2 * y * y) + p2 * xy
+    return x * radial + tangential_x, y * radial + tangential_y
+
+
+def _J_distorted(
+    x: Values, y: Values, coefficients: tuple[float, ...]
+) -> tuple[Values, Values, Values]:
+    """Derivative of `_distorted`, the symmetric [[a, b], [b, d]]: a, b and d."""
+    k1, k2, p1, p2, k3, k4, k5, k6 = coefficients
+    r2 = x * x + y * y
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = k1 + r2 * (2 * k2 + 3 * r2 * k3)  # d radial / d x = 2 slope * x
+    if k4 or k5 or k6:
         below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
-        radial = above / below
-        slope_above = k1 + r2 * (2 * k2 + 3 * r2 * k3)
-        slope_below = k4 + r2 * (2 * k5 + 3 * r2 * k6)
-        slope = 2 * (slope_above - radial * slope_below) / below  # d radial / d x = slope * x
-        mixed = x * y * slope + 2 * p1 * x + 2 * p2 * y
-        return torch.stack(
-            [
-                torch.stack([radial + x * x * slope + 2 * p1 * y + 6 * p2 * x, mixed], dim=-1),
-                torch.stack([mixed, radial + y * y * slope + 6 * p1 * y + 2 * p2 * x], dim=-1),
-            ],
-            dim=-2,
-        )
+        radial = radial / below
+        slope = (slope - radial * (k4 + r2 * (2 * k5 + 3 * r2 * k6))) / below
+    mixed = 2 * (x * y * slope + p1 * x + p2 * y)
+    return (
+        radial + 2 * (x * x * slope + p1 * y + 3 * p2 * x),
+        mixed,
+        radial + 2 * (y * y * slope + 3 * p1 * y + p2 * x),
+    )
+
+
+@lru_cache(maxsize=64)
+def _fold(coefficients: tuple[float, ...]) -> float:
+    """Normalised radius up to which radial distortion rises and has no pole, or infinity."""
+    k1, k2, _, _, k3, k4, k5, k6 = coefficients
+    above, below = Polynomial([1, k1, k2, k3]), Polynomial([1, k4, k5, k6])  # in r^2
+    # numerator of the derivative of r * above / below
+    slope = above * below + Polynomial([0, 2]) * (above.deriv() * below - above * below.deriv())
+    roots = np.concatenate([slope.trim().roots(), below.trim().roots()])
+    squares = roots.real[(np.abs(roots.imag) < 1e-9 * np.abs(roots)) & (roots.real > 0)]
+    return float(squares.min()) ** 0.5 if squares.size else float("inf")
 
 
 def _inverse_2x2(matrix: Tensor) -> Tensor:

@@ -28,8 +28,8 @@ def place_ball(contours: Contours, camera: Camera, ball_radius: float) -> CrossS
     Source: Caglioti & Giusti 2007, section 5, "3D reconstruction". Deviation: the coupled point is
     taken to the nearest contour sample.
     """
-    rays = camera.unproject(contours.points)
-    tangents = (camera.J_unproject(contours.points) @ contours.tangents[..., None])[..., 0]
+    rays, J = camera.unproject_and_J(contours.points)
+    tangents = (J @ contours.tangents[..., None])[..., 0]
     normals = interpretation_normals(rays, tangents)
     partner, is_coupled = couple_points(rays, normals)
     right = partner[is_coupled].round().long()
