@@ -143,27 +143,32 @@ def bayer_values(rgb: NDArray[np.float32]) -> NDArray[np.uint16]:
 
 
 def truth_text(shot: RenderedShot, seed: int, sharp: SharpPicture | None = None) -> str:
-    """Give truth.json: the state at mid-exposure, samples of the path, all that was rendered."""
+    """Give truth.json: the state at mid-exposure, samples of the path, all that was rendered.
+
+    With a readout that of the row which shows the ball.
+    """
     scene = shot.scene
     camera = {
         key: getattr(scene.camera, key)
         for key in ("width", "height", "model", "fx", "fy", "cx", "cy", "distortion")
     }
-    velocity = shot.velocity
+    time = scene.own_time()
+    velocity = shot.velocity_at(time)
     left, right = shot.contours().tolist()
     table = {
         "schema": TRUTH_SCHEMA,
-        "time_s": scene.exposure / 2,
-        "position_m": shot.position.tolist(),
+        "time_s": time,
+        "position_m": shot.position_at(time).tolist(),
         "velocity_m_s": velocity.tolist(),
         "speed_m_s": float(torch.linalg.vector_norm(velocity)),
         "path": {"kind": type(scene.path).__name__, **_plain_path(scene.path)},
-        "trajectory": _trajectory(scene.path, scene.exposure),
+        "trajectory": _trajectory(scene),
         "contours": {"left": left, "right": right},
         "camera": camera,
         "ball": {"radius_m": scene.ball_radius, "colours": _lists(pigments(scene.appearance))},
         "sharp_picture": None if sharp is None else _resting(sharp),
         "exposure_s": scene.exposure,
+        "readout_s": scene.readout,
         "blur_px": scene.blur,
         "noise": scene.noise,
         "seed": seed,
@@ -182,12 +187,14 @@ def _plain_path(path: BallPath) -> dict[str, Any]:
     return plain
 
 
-def _trajectory(path: BallPath, exposure: float) -> dict[str, Any]:
-    time = torch.linspace(0, exposure, PATH_SAMPLES, dtype=torch.float64)
+def _trajectory(scene: Scene) -> dict[str, Any]:
+    """Samples of the path while the row that shows the ball's centre is exposed."""
+    first, last = scene.own_time(0.0), scene.own_time(1.0)
+    time = torch.linspace(first, last, PATH_SAMPLES, dtype=torch.float64)
     return {
         "time_s": time.tolist(),
-        "position_m": path.position(time).tolist(),
-        "velocity_m_s": path.velocity(time).tolist(),
+        "position_m": scene.path.position(time).tolist(),
+        "velocity_m_s": scene.path.velocity(time).tolist(),
     }
 
 
@@ -204,11 +211,12 @@ def _resting(sharp: SharpPicture) -> dict[str, Any]:
 def _rig(scene: Scene, format: Format, *, has_ball_file: bool) -> dict[str, Any]:
     estimator, colours = _how_to_measure(scene.appearance)
     file = {"file": "ball.toml"} if has_ball_file else {}
+    readout = {"readout_s": scene.readout} if scene.readout else {}
     return {
         "camera": {"file": "camera.toml"},
         "response": {"kind": "linear"},
         "ball": {"radius_m": scene.ball_radius, **file, "colours": _lists(colours)},
-        "exposure": {"time_s": scene.exposure},
+        "exposure": {"time_s": scene.exposure, **readout},
         "background": {"images": [f"background.{format}"]},
         "measure": {"estimator": estimator},
     }

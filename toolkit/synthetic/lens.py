@@ -98,34 +98,75 @@ def blur_pixels(picture: Array, sigma: float, supersampling: int) -> Array:
     """
     if sigma <= 0:
         return picture
-    s = supersampling
-    fine = _gaussian(sigma * s)
-    reach = len(fine) // 2
-    box = np.ones(s)
-    spread = np.convolve(np.convolve(fine, box), box) / s  # from sub-pixel to sub-pixel, pixel-wide
-    pixels = math.ceil((reach + s) / s)
-    centre = len(spread) // 2
-    padded = np.pad(spread, pixels * s)
-    kernel = padded[centre::s][: 2 * pixels + 1]
+    kernel = _row_shares(sigma, supersampling).sum(axis=1)
     return _convolve(picture, kernel)
+
+
+def blur_rows(samples: Array, sigma: float, supersampling: int, lag: int) -> Array:
+    """Blur sub-pixels and average them over pixels, but hand on only the light of some rows.
+
+    Summed over all lags from -blur_reach(sigma) to blur_reach(sigma) it is the whole picture.
+
+    Args:
+        samples: [C, H * s, W * s].
+        sigma: px.
+        supersampling: s.
+        lag: a row of pixels receives light from the row this far below it alone.
+
+    Returns:
+        [C, H, W].
+    """
+    channels, height, width = samples.shape
+    s = supersampling
+    across = _convolve(samples, _gaussian(sigma * s), np.ones(1)) if sigma > 0 else samples
+    cells = across.reshape(channels, height // s, s, width // s, s).mean(axis=4)
+    shares = _row_shares(sigma, s)
+    sent = np.einsum("chsw,s->chw", cells, shares[lag + len(shares) // 2].astype(np.float32))
+    received: Array = np.zeros_like(sent)
+    target = slice(max(0, -lag), height // s - max(0, lag))
+    received[:, target] = sent[:, target.start + lag : target.stop + lag]
+    return received
 
 
 def blur_reach(sigma: float) -> int:
     """Pixels beyond which the blur of `sigma` px carries no light."""
-    return math.ceil(5 * sigma) + 1
+    return math.ceil(5 * sigma) + 1 if sigma > 0 else 0
+
+
+def _row_shares(sigma: float, supersampling: int) -> NDArray[np.float64]:
+    """Shares of its light that a sub-pixel hands to the pixel 0, [2 reach + 1, s].
+
+    The sub-pixels are those of the pixels from -reach to reach of one row or column.
+    """
+    s, reach = supersampling, blur_reach(sigma)
+    fine = _gaussian(sigma * s) if sigma > 0 else np.ones(1)
+    spread = np.convolve(fine, np.ones(s)) / s  # centred on the middle of pixel 0
+    padding = ((2 * reach + 1) * s - len(spread)) // 2
+    return np.pad(spread, padding).reshape(2 * reach + 1, s)
 
 
 def _gaussian(sigma: float) -> NDArray[np.float64]:
-    reach = math.ceil(5 * sigma)
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
-    return np.asarray(kernel / kernel.sum())
+    """Weights on samples one apart, whose spread is `sigma` samples to the last digit."""
+    reach = max(1, math.ceil(5 * sigma))
+    offset = np.arange(-reach, reach + 1)
+    # a Gaussian narrower than the samples' spacing has less spread once it is sampled
+    low, high = 0.5 * sigma, sigma + 0.5
+    for _ in range(60):
+        middle = (low + high) / 2
+        kernel = np.exp(-0.5 * (offset / middle) ** 2)
+        kernel /= kernel.sum()
+        low, high = (middle, high) if kernel @ offset**2 < sigma**2 else (low, middle)
+    return np.asarray(kernel)
 
 
-def _convolve(picture: Array, kernel: NDArray[np.float64]) -> Array:
+def _convolve(
+    picture: Array, across: NDArray[np.float64], down: NDArray[np.float64] | None = None
+) -> Array:
+    """Filter each channel along its rows, and likewise along its columns unless told otherwise."""
     border = cv2.BORDER_REPLICATE
+    down = across if down is None else down
     channels = [
-        cv2.sepFilter2D(channel, cv2.CV_32F, kernel, kernel, borderType=border)
-        for channel in picture
+        cv2.sepFilter2D(channel, cv2.CV_32F, across, down, borderType=border) for channel in picture
     ]
     return np.stack(channels).astype(np.float32)
 

@@ -5,69 +5,67 @@ used here, so that the result can stand as independent truth.
 """
 
 import math
-from dataclasses import dataclass
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.camera import Camera
 from toolkit.errors import ConfigError
-from toolkit.synthetic.appearance import Appearance, PlainBall
-from toolkit.synthetic.lens import Array, Window, normalised_grid, unit_rays
+from toolkit.synthetic.exposure import Ball, BallLight, Exposure, Instant
+from toolkit.synthetic.lens import Window, normalised_grid, unit_rays
 from toolkit.synthetic.paths import BallPath
+from toolkit.synthetic.shutter import Shutter
 
 LIMB_POINTS = 64
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BallLight:
-    """What the ball adds to a window of the picture, on its sub-pixels, before any blur."""
-
-    window: Window
-    alpha: Array  # [H * s, W * s] share of the exposure during which the ball covers the ray
-    colour: Array  # [3, H * s, W * s] its light, averaged over the whole exposure
+COARSE = 513
+"""Instants at least at which the path is looked at before it is rendered."""
+NEVER_SEEN = "the ball is never inside the picture; move its path or turn the camera"
 
 
 def expose_ball(
     camera: Camera,
     path: BallPath,
-    ball_radius: float,
-    exposure: float,
-    appearance: Appearance,
+    ball: Ball,
+    shutter: Shutter,
     *,
     step: float,
     supersampling: int,
-    margin: int,
+    reach: int,
 ) -> BallLight:
-    """Average the ball's sharp images over the exposure.
+    """Average the ball's sharp images over the exposure of each row.
 
-    The instants are the mid-points of equal slices of the exposure. A unit ray u meets the ball at
-    C exactly when |C x u| <= R in front of the camera, that is when C.u >= sqrt(|C|^2 - R^2).
+    The instants are the mid-points of equal slices of time. A unit ray u meets the ball at C
+    exactly when |C x u| <= R in front of the camera, that is when C.u >= sqrt(|C|^2 - R^2). Near
+    the rim that difference tells how much of the sub-pixel around the ray the ball covers; summed
+    over the rim the area so covered is exact.
 
     Args:
         camera: the camera.
         path: the ball's path.
-        ball_radius: metre.
-        exposure: second.
-        appearance: light sent by the ball's surface.
+        ball: its radius and looks.
+        shutter: when each row is exposed.
         step: the rim moves by at most this many px from one instant to the next.
         supersampling: rays along one side of a pixel.
-        margin: px kept free around the streak.
+        reach: px over which the lens spreads light, kept free around the streak.
 
     Raises:
         ConfigError: when the ball touches the camera's plane or is never in the picture.
     """
-    time = _instants(camera, path, ball_radius, exposure, step)
+    first, last = _seen(camera, path, ball.radius, shutter, reach)
+    time, length = _slices(camera, path, ball.radius, first, last, step)
     centres = path.position(time)
-    boxes = _boxes(project_limb(camera, centres, ball_radius))
-    window = _common_window(boxes, camera).grown(margin)
+    boxes = _boxes(project_limb(camera, centres, ball.radius))
+    window = _common_window(boxes, camera).grown(reach)
     rays = unit_rays(normalised_grid(camera, window, supersampling))
-    light = _Exposure(rays, window, supersampling, ball_radius, appearance)
-    for instant, centre, box in zip(time.tolist(), centres.numpy(), boxes.tolist(), strict=True):
-        light.add(instant, centre, box)
-    return BallLight(window=window, alpha=light.mean_alpha(), colour=light.mean_colour())
+    exposure = Exposure(rays, window, ball, shutter, reach)
+    sub_pixels = _pixel_angle(camera, centres) / supersampling
+    for t, centre, box, sub_pixel in zip(
+        time.tolist(), centres.numpy(), boxes.tolist(), sub_pixels.tolist(), strict=True
+    ):
+        exposure.add(
+            Instant(time=t, length=length, centre=centre, box=tuple(box), sub_pixel=sub_pixel)
+        )
+    return exposure.light()
 
 
 def project_limb(camera: Camera, centres: Tensor, ball_radius: float) -> Tensor:
@@ -93,15 +91,53 @@ def project_limb(camera: Camera, centres: Tensor, ball_radius: float) -> Tensor:
     return camera.project(middle[:, None] + circle_radius[:, None] * ring)
 
 
-def _instants(
-    camera: Camera, path: BallPath, ball_radius: float, exposure: float, step: float
-) -> Tensor:
-    """Mid-points of as many equal slices as keep the rim's movement below `step` px, [T] s."""
-    coarse = torch.linspace(0, exposure, 513, dtype=torch.float64)
+def _seen(
+    camera: Camera, path: BallPath, ball_radius: float, shutter: Shutter, reach: int
+) -> tuple[float, float]:
+    """First and last time, s, at which rows that the ball's light reaches are exposed.
+
+    Raises:
+        ConfigError: when there is none, or the ball then touches the camera's plane.
+    """
+    if not shutter.is_rolling:
+        return 0.0, shutter.exposure
+    count = max(COARSE, math.ceil(8 * shutter.end / shutter.exposure))
+    time = torch.linspace(0, shutter.end, count, dtype=torch.float64)
+    centres = path.position(time)
+    is_before = centres[:, 2] > ball_radius
+    # a ball behind the camera is not seen; while it passes the lens, nothing tells which rows see
+    boxes = torch.zeros(count, 4, dtype=torch.long)
+    boxes[is_before] = _boxes(project_limb(camera, centres[is_before], ball_radius))
+    is_seen = shutter.exposes(time, boxes[:, 1] - reach, boxes[:, 3] - 1 + reach) & is_before
+    seen = is_seen.nonzero()[:, 0]
+    if len(seen) == 0:
+        raise ConfigError(NEVER_SEEN)
+    first, last = max(0, int(seen[0]) - 1), min(count - 1, int(seen[-1]) + 1)
+    return float(time[first]), float(time[last])
+
+
+def _slices(
+    camera: Camera, path: BallPath, ball_radius: float, first: float, last: float, step: float
+) -> tuple[Tensor, float]:
+    """Cut a span of time into as many equal slices as keep the rim's movement below `step` px.
+
+    Returns:
+        Their mid-points [T] s, and their length, s.
+    """
+    coarse = torch.linspace(first, last, COARSE, dtype=torch.float64)
     limb = project_limb(camera, path.position(coarse), ball_radius)
-    fastest = float(torch.linalg.vector_norm(limb.diff(dim=0), dim=-1).max()) * 512
+    fastest = float(torch.linalg.vector_norm(limb.diff(dim=0), dim=-1).max()) * (COARSE - 1)
     count = max(1, math.ceil(1.05 * fastest / step))
-    return (torch.arange(count, dtype=torch.float64) + 0.5) * (exposure / count)
+    length = (last - first) / count
+    return first + (torch.arange(count, dtype=torch.float64) + 0.5) * length, length
+
+
+def _pixel_angle(camera: Camera, centres: Tensor) -> Tensor:
+    """Side of a square of a pixel's solid angle where each centre [T, 3] m is seen, [T] rad."""
+    J = camera.J_project(centres)  # px a metre; nothing along the ray
+    density: Tensor = torch.linalg.det(J @ J.mT) ** 0.25
+    angle: Tensor = 1 / (density * torch.linalg.vector_norm(centres, dim=-1))
+    return angle
 
 
 def _boxes(limb: Tensor) -> Tensor:
@@ -118,84 +154,5 @@ def _common_window(boxes: Tensor, camera: Camera) -> Window:
     left, top = max(0, int(left)), max(0, int(top))
     right, bottom = min(camera.width, int(right)), min(camera.height, int(bottom))
     if right <= left or bottom <= top:
-        raise ConfigError("the ball is never inside the picture; move its path or turn the camera")
+        raise ConfigError(NEVER_SEEN)
     return Window(left=left, top=top, width=right - left, height=bottom - top)
-
-
-class _Exposure:
-    """Running sums over the sharp images, on the sub-pixels of one window."""
-
-    def __init__(
-        self,
-        rays: Tensor,
-        window: Window,
-        supersampling: int,
-        ball_radius: float,
-        appearance: Appearance,
-    ) -> None:
-        # relative to one ray the others are small numbers, so that 32 bits lose nothing
-        self.origin: NDArray[np.float64] = rays[:, rays.shape[1] // 2, rays.shape[2] // 2].numpy()
-        self.rays: Array = (rays.numpy() - self.origin[:, None, None]).astype(np.float32)
-        self.window = window
-        self.supersampling = supersampling
-        self.ball_radius = ball_radius
-        self.appearance = appearance
-        self.instants = 0
-        self.hits: NDArray[np.uint32] = np.zeros(rays.shape[1:], dtype=np.uint32)
-        # a plain ball's light follows from the hits alone
-        self.is_plain = isinstance(appearance, PlainBall)
-        shape = (0, 0, 3) if self.is_plain else (*rays.shape[1:], 3)
-        self.light: Array = np.zeros(shape, dtype=np.float32)
-
-    def add(self, time: float, centre: NDArray[np.float64], box: list[int]) -> None:
-        """Add the sharp image of the ball at one instant."""
-        rows, columns = self._samples(box)
-        u = self.rays[:, rows, columns]
-        x, y, z = centre.astype(np.float32)
-        tangent = math.sqrt(float(centre @ centre) - self.ball_radius**2)
-        # u.C - tangent, from small numbers only
-        depth = u[0] * x
-        depth += u[1] * y
-        depth += u[2] * z
-        depth += np.float32(float(self.origin @ centre) - tangent)
-        hit = depth >= 0
-        self.hits[rows, columns] += hit
-        self.instants += 1
-        if not self.is_plain:
-            inside = np.flatnonzero(hit)
-            rays = u.reshape(3, -1).take(inside, axis=1)
-            normal = self._normals(rays, depth.take(inside), tangent, centre)
-            # flat indices and whole rows of memory: twice as fast as picking pixels by row, column
-            light = np.zeros((hit.size, 3), dtype=np.float32)
-            light[inside] = self.appearance(torch.from_numpy(normal.T), time).numpy()
-            self.light[rows, columns] += light.reshape(*hit.shape, 3)
-
-    def mean_alpha(self) -> Array:
-        """Give the share of the instants at which the ball covers each ray."""
-        return self.hits.astype(np.float32) / np.float32(self.instants)
-
-    def mean_colour(self) -> Array:
-        """Give the ball's light, averaged over all instants, [3, H * s, W * s]."""
-        if isinstance(self.appearance, PlainBall):
-            colour = np.array(self.appearance.colour, dtype=np.float32)
-            return colour[:, None, None] * self.mean_alpha()
-        return np.moveaxis(self.light, -1, 0) / np.float32(self.instants)
-
-    def _samples(self, box: list[int]) -> tuple[slice, slice]:
-        left, top, right, bottom = box
-        s, window = self.supersampling, self.window
-        left, right = max(0, left - window.left), max(0, right - window.left)
-        top, bottom = max(0, top - window.top), max(0, bottom - window.top)
-        return slice(top * s, bottom * s), slice(left * s, right * s)
-
-    def _normals(
-        self, rays: Array, depth: Array, tangent: float, centre: NDArray[np.float64]
-    ) -> Array:
-        """Outward normals [3, N] where rays enter the ball; `depth` is u.C - tangent there."""
-        u = rays + self.origin.astype(np.float32)[:, None]
-        # (u.C)^2 - tangent^2, in the form that keeps its digits near the rim
-        half_chord = np.sqrt(depth * (depth + np.float32(2 * tangent)))
-        u *= depth - half_chord + np.float32(tangent)
-        u -= centre.astype(np.float32)[:, None]
-        u /= np.float32(self.ball_radius)
-        return u

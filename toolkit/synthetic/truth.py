@@ -10,7 +10,13 @@ from toolkit.synthetic.paths import BallPath
 
 
 def true_contours(
-    path: BallPath, camera: Camera, ball_radius: float, exposure: float, count: int = 200
+    path: BallPath,
+    camera: Camera,
+    ball_radius: float,
+    exposure: float,
+    count: int = 200,
+    *,
+    start: float = 0.0,
 ) -> Tensor:
     """Give the two contours of the tube the ball sweeps, as seen by the camera.
 
@@ -23,15 +29,16 @@ def true_contours(
         path: the ball's path.
         camera: the camera.
         ball_radius: metre.
-        exposure: second.
+        exposure: when the contours end, s.
         count: points along each contour, at equal steps of time.
+        start: when they start, s.
 
     Returns:
         [2, count, 2] px, first the contour on the left when walking along the motion in the image,
         then the right one; NaN where the ball moves so directly towards or away from the camera
         that the tube hides within the ball.
     """
-    time = torch.linspace(0, exposure, count, dtype=torch.float64)
+    time = torch.linspace(start, exposure, count, dtype=torch.float64)
     points, _, is_seen = grazing_points(path, ball_radius, time)
     return torch.where(is_seen, camera.project(points), torch.nan)
 

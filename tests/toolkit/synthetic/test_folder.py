@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -73,6 +74,20 @@ def test_rig_camera_and_truth_agree_with_the_scene(tmp_path):
     middle = truth["trajectory"]["position_m"][50]
     assert middle == pytest.approx(truth["position_m"])
     assert truth["camera"]["distortion"] == list(scene.camera.distortion)
+
+
+def test_a_readout_is_told_and_moves_the_true_state_to_the_balls_own_row(tmp_path):
+    scene = replace(SHOT.scene, readout=0.03)
+    write_shot(tmp_path, render_shot(scene))
+    assert read_rig(tmp_path / "rig.toml").readout == 0.03
+    truth = json.loads((tmp_path / "truth.json").read_text())
+    assert truth["readout_s"] == 0.03
+    time = torch.tensor([truth["time_s"]], dtype=torch.float64)
+    position = scene.path.position(time)
+    assert truth["position_m"] == position[0].tolist()
+    row = float(scene.camera.project(position)[0, 1])
+    delay = 0.03 / (scene.camera.height - 1)
+    assert truth["time_s"] == pytest.approx(row * delay + scene.exposure / 2, abs=1e-12)
 
 
 def test_boards_come_in_place_of_the_camera_file(tmp_path):

@@ -9,6 +9,7 @@ from toolkit.synthetic.lens import (
     blur,
     blur_pixels,
     blur_reach,
+    blur_rows,
     mean_over_pixels,
     normalised_grid,
     unit_rays,
@@ -55,6 +56,24 @@ def test_blur_keeps_light_and_has_the_spread_asked_for():
     offset = np.arange(41) - 20
     assert spread.sum() == pytest.approx(1, abs=1e-6)
     assert (spread.sum(axis=0) * offset**2).sum() == pytest.approx(2.1**2, rel=1e-3)
+
+
+@pytest.mark.parametrize("sigma", [0.1, 0.35, 0.8, 3.0])
+def test_a_blur_narrower_than_a_sample_still_has_its_spread(sigma):
+    point = np.zeros((1, 41, 41), dtype=np.float32)
+    point[0, 20, 20] = 1
+    variance = (blur(point, sigma)[0].sum(axis=0) * (np.arange(41) - 20) ** 2).sum()
+    assert variance == pytest.approx(sigma**2, rel=1e-4)
+
+
+def test_the_light_of_all_rows_together_is_the_blurred_picture():
+    fine = np.random.default_rng(0).random((2, 36, 45)).astype(np.float32)
+    fine[:, :18] = fine[:, 27:] = 0  # nothing beyond the border to be missed
+    reach = blur_reach(0.7)
+    parts = [blur_rows(fine, 0.7, 3, lag) for lag in range(-reach, reach + 1)]
+    assert np.allclose(sum(parts), mean_over_pixels(blur(fine, 0.7 * 3), 3), atol=1e-6)
+    assert parts[reach + 1][:, 5].max() > 0  # row 6 has light, and row 5 gets some of it
+    assert parts[reach + 1][:, 6:].max() > parts[reach + 1][:, :5].max() == 0
 
 
 def test_blur_reaches_no_farther_than_it_says():

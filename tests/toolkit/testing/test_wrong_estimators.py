@@ -158,7 +158,7 @@ WRONG = {
     "foreground-appearance": Crooked(),
     "truth-alpha": Good(colour=(0.9, 0.5, 0.15)),
     "truth-variance": seen_otherwise(lambda seen, _: {"variance": seen.variance * 2}),
-    "truth-measure": seen_otherwise(lambda seen, _: {"signal": seen.signal.roll(4, -1)}),
+    "truth-measure": seen_otherwise(lambda seen, _: {"signal": seen.signal.roll(8, -1)}),
     "precision-kept": shown_otherwise(lambda value, _: value.double()),
     "repeatable": seen_otherwise(lambda seen, _: {"ground": seen.ground + random.random() / 1e4}),
     "threads-kept": shown_otherwise(use_threads),
