@@ -1,6 +1,7 @@
 """What the picture shows away from the ball: the camera's noise, and how the light drifted."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -9,6 +10,7 @@ from torch import Tensor
 
 from toolkit.demosaicing import tile
 from toolkit.errors import MismatchError
+from toolkit.ranks import ranked_value
 from toolkit.types import LinearImage, NoiseModel
 
 SAMPLES = 60_000
@@ -30,14 +32,67 @@ def check_pair(image: LinearImage, background: LinearImage) -> None:
         )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairSamples:
+    """Raw samples of shot and background at the same places, an even subset of each channel."""
+
+    level: tuple[Values, Values, Values]  # [N] each, the mean weighed by precision
+    difference: tuple[Values, Values, Values]  # [N] each, shot minus background
+    density: tuple[float, ...]  # share of the pixels at which a channel was measured
+    frames: int  # of the background
+
+    def noise(self) -> NoiseModel:
+        """Give the noise of one picture; see `estimate_noise`."""
+        share = 1 + 1 / self.frames
+        pairs = zip(self.level, self.difference, strict=True)
+        fits = [_fit_variance(level, difference, share) for level, difference in pairs]
+        return NoiseModel(
+            read_variance=torch.tensor([[fit[0] for fit in fits]]),
+            gain=torch.tensor([[fit[1] for fit in fits]]),
+            density=torch.tensor(self.density),
+        )
+
+    def drift(self) -> Tensor:
+        """Give the median ratio of shot to background per channel, [3]."""
+        pairs = zip(self.level, self.difference, strict=True)
+        ratios = [_ratio(level, difference, self.frames) for level, difference in pairs]
+        return torch.tensor(ratios, dtype=torch.float64)
+
+
+def sample_pair(
+    image: LinearImage,
+    background: LinearImage,
+    ignore: Tensor | None = None,
+    most: int = SAMPLES,
+) -> PairSamples:
+    """Look at shot and background in the same places, about `most` of each channel.
+
+    Raw samples are taken where both pictures still hold them, since demosaicing smooths the noise.
+
+    Args:
+        image: the shot.
+        background: the scene without the ball.
+        ignore: pixels of the ball and of whatever else moved [B, 1, H, W] bool.
+        most: pixels a channel.
+    """
+    red, green, blue = (
+        _channel_samples(image, background, channel, ignore, most) for channel in range(3)
+    )
+    return PairSamples(
+        level=(red[0], green[0], blue[0]),
+        difference=(red[1], green[1], blue[1]),
+        density=tuple(_density(image, background, channel) for channel in range(3)),
+        frames=background.frames,
+    )
+
+
 def estimate_noise(
     image: LinearImage, background: LinearImage, ignore: Tensor | None = None
 ) -> NoiseModel:
     """Estimate read noise and gain from the difference of two pictures, robustly against the ball.
 
-    Raw samples are compared where both pictures still hold them, since demosaicing smooths the
-    noise. Within each group of equal brightness the median is taken out first, so that a drift of
-    the light does not count as noise.
+    Within each group of equal brightness the median is taken out first, so that a drift of the
+    light does not count as noise.
     Source: MATHS, var(C) = read^2 + gain * C. [derived]
 
     Args:
@@ -49,33 +104,24 @@ def estimate_noise(
         NoiseModel of one picture; the difference of both has (1 + 1 / background.frames) times its
         variance.
     """
-    share = 1 + 1 / background.frames
-    pairs = [_channel_samples(image, background, channel, ignore) for channel in range(3)]
-    fits = [_fit_variance(level, difference, share) for level, difference in pairs]
-    density = [_density(image, background, channel) for channel in range(3)]
-    return NoiseModel(
-        read_variance=torch.tensor([[fit[0] for fit in fits]]),
-        gain=torch.tensor([[fit[1] for fit in fits]]),
-        density=torch.tensor(density),
-    )
+    return sample_pair(image, background, ignore).noise()
 
 
 def brightness_drift(
     image: LinearImage, background: LinearImage, ignore: Tensor | None = None
 ) -> Tensor:
     """Give the median ratio of shot to background per channel, [3]; 1 when the light stayed."""
-    ratios = []
-    for channel in range(3):
-        level, difference = _channel_samples(image, background, channel, ignore)
-        if not len(level):  # all is clipped, and nothing tells of another light
-            ratios.append(1.0)
-            continue
-        bright = level.argsort()[len(level) // 2 :]
-        share = float(_quantile(difference[bright] / level[bright].clip(1e-3), 0.5))
-        own = 1 / (1 + background.frames)  # of the shot in the level
-        # a background without light leaves nothing below: the ratio is as good as infinite
-        ratios.append((1 + (1 - own) * share) / max(1 - own * share, 1e-6))
-    return torch.tensor(ratios, dtype=torch.float64)
+    return sample_pair(image, background, ignore).drift()
+
+
+def _ratio(level: Values, difference: Values, frames: int) -> float:
+    if not len(level):  # all is clipped, and nothing tells of another light
+        return 1.0
+    bright = np.argpartition(level, len(level) // 2)[len(level) // 2 :]
+    share = float(ranked_value(difference[bright] / level[bright].clip(1e-3), 0.5))
+    own = 1 / (1 + frames)  # of the shot in the level
+    # a background without light leaves nothing below: the ratio is as good as infinite
+    return (1 + (1 - own) * share) / max(1 - own * share, 1e-6)
 
 
 def scale_background(background: LinearImage, ratio: Tensor) -> LinearImage:
@@ -89,7 +135,7 @@ def scale_background(background: LinearImage, ratio: Tensor) -> LinearImage:
 
 
 def _channel_samples(
-    image: LinearImage, background: LinearImage, channel: int, ignore: Tensor | None
+    image: LinearImage, background: LinearImage, channel: int, ignore: Tensor | None, most: int
 ) -> tuple[Values, Values]:
     """Mean levels and differences of one channel on an even subset of its raw samples, [N] each."""
     if image.mosaic is not None and background.mosaic is not None and image.pattern is not None:
@@ -98,7 +144,7 @@ def _channel_samples(
     else:
         shot, ground = image.rgb[0, channel], background.rgb[0, channel]
         row, column, step_y, step_x = 0, 0, 1, 1
-    step = max(1, math.ceil((shot.numel() / (step_y * step_x) / SAMPLES) ** 0.5))
+    step = max(1, math.ceil((shot.numel() / (step_y * step_x) / most) ** 0.5))
     sites = (slice(row, None, step_y * step), slice(column, None, step_x * step))
     unusable = [image.clipped, background.clipped, *([] if ignore is None else [ignore])]
     # NumPy from here on: it sorts many times faster than torch
@@ -132,13 +178,13 @@ def _fit_variance(level: Values, difference: Values, share: float) -> tuple[floa
     """Fit read variance and gain, neither negative, to the variance of each brightness group."""
     if len(level) < 4 * LEVELS:
         return MIN_STD**2, 0.0
-    groups = level.argsort()[: len(level) // LEVELS * LEVELS].reshape(LEVELS, -1)
+    groups = _ranked(level)[: len(level) // LEVELS * LEVELS].reshape(LEVELS, -1)
     x = level[groups].mean(-1)
     variance = (_robust_variance(difference[groups]) / share).clip(MIN_STD**2)
     design = np.stack([np.ones_like(x), x], axis=-1) / variance[:, None]
     read, gain = np.linalg.lstsq(design, np.ones_like(x), rcond=None)[0].tolist()
     if gain < 0:
-        return max(float(_quantile(variance, 0.5)), MIN_STD**2), 0.0
+        return max(float(ranked_value(variance, 0.5)), MIN_STD**2), 0.0
     if read < MIN_STD**2:
         slope = float((x / variance).sum() / ((x / variance) ** 2).sum())
         return MIN_STD**2, max(slope, 0.0)
@@ -151,18 +197,19 @@ def _robust_variance(difference: Values) -> Values:
     On 8-bit pictures most differences may be exactly 0, so that the median or even the middle half
     says nothing: the spread is looked for further and further out.
     """
-    size = np.abs(difference - _quantile(difference, 0.5)[:, None])
-    half, most, nearly_all = (_quantile(size, share) for share in (0.5, 0.8, 0.98))
+    size = np.abs(difference - ranked_value(difference, 0.5)[:, None])
+    half, most, nearly_all = (ranked_value(size, share) for share in (0.5, 0.8, 0.98))
     spread = np.maximum(half / 0.674, most / 1.282)
     spread = np.where(spread > 0, spread, nearly_all)
     kept = size <= 4 * spread[:, None]
-    return np.asarray(difference.var(-1, ddof=1, where=kept))
+    count = np.count_nonzero(kept, axis=-1)
+    inner = np.where(kept, difference, 0)
+    inner = np.where(kept, inner - (inner.sum(-1) / count)[:, None], 0)
+    return np.asarray((inner * inner).sum(-1) / (count - 1))
 
 
-def _quantile(values: Values, share: float) -> Values:
-    """Give the value below which a share of those along the last axis lies, without interpolation.
-
-    NumPy's own is three times as slow, and the first call of it loads further modules.
-    """
-    rank = round(share * (values.shape[-1] - 1))
-    return np.asarray(np.partition(values, rank)[..., rank])
+def _ranked(values: Values) -> NDArray[np.intp]:
+    """Indices of rising values, to 1 / 65536 of their range: whole numbers are sorted by digits."""
+    low, high = values.min(), values.max()
+    steps = (values - low) * (65535 / max(high - low, 1e-300))
+    return np.argsort(steps.astype(np.uint16), kind="stable")

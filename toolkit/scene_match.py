@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.errors import MismatchError
+from toolkit.ranks import ranked_value
 from toolkit.types import LinearImage
 
 GREEN = 1
@@ -27,6 +28,8 @@ MIN_AGREEMENT = 0.3
 """Share of the background's steps that the shot must show: 1 in the same scene, 0 in another."""
 MIN_SHIFT = 3.0
 """px of the stored picture; what is less is left to the fit."""
+UNMOVED = 0.25
+"""Share of what a shift by MIN_SHIFT changes where the picture is steep: below, there is none."""
 REMAINDER = 0.6
 """Share of the difference that may remain where a shift is to be believed."""
 PEAK = 0.1
@@ -63,7 +66,10 @@ def check_same_scene(image: LinearImage, background: LinearImage) -> None:
     is_steep = _steep(ground, slope)
     if np.count_nonzero(is_steep) < MIN_STEEP:
         return
-    shift = _shift(shot, ground, is_steep)
+    change = _change(shot, ground, is_steep)
+    steepness = float(ranked_value(np.hypot(*slope)[is_steep]))
+    is_still = change < UNMOVED * steepness * MIN_SHIFT / factor
+    shift = None if is_still else _shift(shot, ground, is_steep, change)
     if shift is not None and factor * math.hypot(*shift) >= MIN_SHIFT:
         x, y = (round(factor * length) for length in shift)
         raise MismatchError(
@@ -102,20 +108,27 @@ def _steep(picture: Map, slope: Map) -> Mask:
     steepness = np.hypot(*slope)
     # second differences see noise and hardly any texture; their gain is 6 (Immerkaer 1996)
     kernel = np.outer([1, -2, 1], [1, -2, 1]).astype(np.float32)
-    noise = float(np.median(np.abs(cv2.filter2D(picture, cv2.CV_32F, kernel)))) / 0.674 / 6
+    rough = np.abs(cv2.filter2D(picture, cv2.CV_32F, kernel))
+    noise = float(ranked_value(rough.ravel())) / 0.674 / 6
     # the gain of a Gaussian's derivative is 1 / (sqrt(8 pi) sigma^2)
     noise_slope = noise / ((8 * math.pi) ** 0.5 * SMOOTHING**2)
-    limit = max(float(np.quantile(steepness, 1 - TEXTURE)), SIGNIFICANCE * noise_slope)
+    limit = max(float(ranked_value(steepness.ravel(), 1 - TEXTURE)), SIGNIFICANCE * noise_slope)
     return np.asarray(steepness > limit)
 
 
 def _agreement(shot: Map, ground: Map, is_steep: Mask) -> float:
     """Median share of the background's slope that the shot has too."""
     share = (shot * ground).sum(0)[is_steep] / (ground * ground).sum(0)[is_steep]
-    return float(np.median(share))
+    return float(ranked_value(share))
 
 
-def _shift(shot: Map, ground: Map, is_steep: Mask) -> tuple[float, float] | None:
+def _change(shot: Map, ground: Map, is_steep: Mask) -> float:
+    """Median difference between smoothed shot and background where it is steep."""
+    smooth = cv2.GaussianBlur(shot - ground, (0, 0), SMOOTHING)
+    return float(ranked_value(np.abs(smooth[is_steep])))
+
+
+def _shift(shot: Map, ground: Map, is_steep: Mask, change: float) -> tuple[float, float] | None:
     """Give the shift (x, y) px from background to shot if it explains most of their difference."""
     window = cv2.createHanningWindow(shot.shape[::-1], cv2.CV_32F)
     # copies: pictures whose size suits the Fourier transform would be multiplied by the window
@@ -124,8 +137,5 @@ def _shift(shot: Map, ground: Map, is_steep: Mask) -> tuple[float, float] | None
         return None
     move = np.array([[1, 0, x], [0, 1, y]])
     moved = cv2.warpAffine(ground, move, ground.shape[::-1], borderMode=cv2.BORDER_REPLICATE)
-    before, after = (
-        float(np.median(np.abs(cv2.GaussianBlur(shot - g, (0, 0), SMOOTHING))[is_steep]))
-        for g in (ground, moved)
-    )
-    return (x, y) if after < REMAINDER * before else None
+    left = _change(shot, np.asarray(moved, np.float32), is_steep)
+    return (x, y) if left < REMAINDER * change else None

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator, Observation, observe_colours
-from toolkit.background import brightness_drift, estimate_noise, scale_background
+from toolkit.background import estimate_noise, sample_pair, scale_background
 from toolkit.errors import StreakError
 from toolkit.scene_match import check_light, check_same_scene
 from toolkit.streak import ROI, find_streak
@@ -18,6 +18,8 @@ DRIFT = 0.003
 """Relative change of the light since the background beyond which the background follows it."""
 LARGE_DRIFT = 0.05
 """The same, beyond which the streak is not even looked for before the background follows."""
+FIRST_SAMPLES = 10_000
+"""Pixels a channel whose noise and light are looked at to find the streak."""
 MARGIN = 1.0
 """Half widths around the streak within which pixels do not count as background."""
 WINDOW = 2.5
@@ -58,24 +60,26 @@ def observe_streak(
         StreakError: when there is no streak, or it leaves the picture.
         ConfigError: when the region lies outside the picture.
     """
-    light = brightness_drift(image, background)
+    first = sample_pair(image, background, most=FIRST_SAMPLES)
+    light = first.drift()
     check_light(light)
     # without the streak the light is only roughly known: not worth following unless it stands out
     is_other_light = bool(((light - 1).abs() > LARGE_DRIFT).any())
     lit = scale_background(background, light) if is_other_light else background
     check_same_scene(image, lit)
-    streak = find_streak(image, lit, estimate_noise(image, lit), estimator, roi)
+    noise = estimate_noise(image, lit) if is_other_light else first.noise()
+    streak = find_streak(image, lit, noise, estimator, roi)
     half_width = float(streak.half_width)
     ignore = _grown(streak.mask, MARGIN * half_width)
-    drift = brightness_drift(image, background, ignore)
+    samples = sample_pair(image, background, ignore)
+    drift = samples.drift()
     if bool(((drift - 1).abs() > DRIFT).any()):
         background = scale_background(background, drift)
-        streak = find_streak(
-            image, background, estimate_noise(image, background, ignore), estimator, roi
-        )
+        noise = estimate_noise(image, background, ignore)
+        streak = find_streak(image, background, noise, estimator, roi)
     else:
         drift = torch.ones_like(drift)
-    noise = estimate_noise(image, background, ignore)
+        noise = samples.noise()
     _check_inside(streak, image)
     left, top, width, height = _window(streak, image)
     shot, ground = (picture.window(left, top, width, height) for picture in (image, background))
