@@ -8,13 +8,18 @@ for the one channel that was measured there.
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.alpha import Observation
-from toolkit.box_filter import box_mean
+from toolkit.box_filter import ring_mean
 from toolkit.shapes import check_shape
 from toolkit.types import Profiles
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 BEND_REACH = 10
 """px to either side over which the axis' bend is taken."""
@@ -33,6 +38,7 @@ def gather_profiles(
     corner: tuple[int, int] = (0, 0),
     spacing: float = 1.0,
     every: int = 1,
+    smooth_ground: Tensor | None = None,
 ) -> Profiles:
     """Gather the pixels about an axis into profiles perpendicular to it.
 
@@ -48,6 +54,7 @@ def gather_profiles(
         corner: where the window's top-left pixel lies in the whole picture, (x, y).
         spacing: from one profile to the next, px.
         every: keep one profile of so many; what is only a first look needs no more.
+        smooth_ground: `ring_mean` of the ground, where it is at hand.
 
     Raises:
         ShapeError: when B disagrees.
@@ -57,14 +64,17 @@ def gather_profiles(
     height, width = observation.signal.shape[-2:]
     size, corner_px = (height, width), torch.tensor(corner)
     slots = [
-        _assign(size, origin[b] - corner_px, normal[b], reach, every) for b in range(len(axis))
+        _assign(size, (origin[b] - corner_px).numpy(), normal[b].numpy(), reach, every)
+        for b in range(len(axis))
     ]
     count = max(slot.pixel.shape[1] for slot in slots)
     index = torch.stack([_pad(slot.pixel, count) for slot in slots])
     is_filled = index >= 0
     safe = index.clamp_min(0)
     offset = torch.stack([_pad(slot.offset, count) for slot in slots])
-    untouched = ~_take(clipped, safe)[..., 0].bool()
+    untouched = ~torch.stack([clipped[b].flatten()[safe[b]] for b in range(len(clipped))])
+    if smooth_ground is None:
+        smooth_ground = ring_mean(observation.ground)
     return Profiles(
         origin=origin[:, ::every],
         normal=normal[:, ::every],
@@ -72,7 +82,7 @@ def gather_profiles(
         offset=torch.where(is_filled, offset, 0),
         signal=_take(observation.signal, safe),
         ground=_take(observation.ground, safe),
-        smooth_ground=_take(_ring_smoothed(observation.ground), safe),
+        smooth_ground=_take(smooth_ground, safe),
         variance=_take(observation.variance, safe),
         is_filled=is_filled,
         valid=is_filled & untouched,
@@ -135,64 +145,70 @@ class _Slots:
 
 
 def _assign(
-    size: tuple[int, int], origin: Tensor, normal: Tensor, reach: float, every: int
+    size: tuple[int, int], origin: Array, normal: Array, reach: float, every: int
 ) -> _Slots:
     """Give every pixel of a window (height, width) near the axis to its nearest profile."""
-    spacing = float(torch.linalg.vector_norm(origin.diff(dim=0), dim=-1).mean().clamp_min(1e-9))
+    spacing = max(float(np.hypot(*np.diff(origin, axis=0).T).mean()), 1e-9)
     near, profile = _rough_neighbours(size, origin, reach, spacing)
-    y, x = (values.to(origin.dtype) for values in (near // size[1], near % size[1]))
-    last = len(origin) - 1
-    along, offset = _from_profile(x, y, profile, origin, normal)
+    y, x = (values.astype(np.float64) for values in np.divmod(near, size[1]))
+    last, frame = len(origin) - 1, np.ascontiguousarray(np.concatenate([origin, normal], axis=1).T)
+    along, offset = _from_profile(x, y, frame, profile)
     for _ in range(MAX_ROUNDS):
-        nearer = (profile + (along / spacing).round().long()).clamp(0, last)
-        if torch.equal(nearer, profile):
+        nearer = (profile + np.rint(along / spacing).astype(np.intp)).clip(0, last)
+        moved = np.nonzero(nearer != profile)[0]
+        if not len(moved):
             break
-        profile = nearer
-        along, offset = _from_profile(x, y, profile, origin, normal)
+        profile[moved] = nearer[moved]
+        along[moved], offset[moved] = _from_profile(x[moved], y[moved], frame, profile[moved])
     # what lies beyond the first or the last profile belongs to none
-    room = torch.where((profile == 0) | (profile == last), spacing / 2, spacing)
-    is_taken = (offset.abs() <= reach) & (along.abs() <= room) & (profile % every == 0)
-    chosen = is_taken.nonzero()[:, 0]
-    chosen = chosen[(profile[chosen] // every).to(torch.int32).argsort(stable=True)]
-    profile = profile[chosen] // every
+    room = np.where((profile == 0) | (profile == last), spacing / 2, spacing)
+    is_taken = (np.abs(offset) <= reach) & (np.abs(along) <= room)
+    if every > 1:
+        is_taken &= profile % every == 0
     kept = last // every + 1
-    sizes = torch.bincount(profile, minlength=kept)
-    place = torch.arange(len(profile)) - (sizes.cumsum(0) - sizes)[profile]
+    chosen = np.nonzero(is_taken)[0]
+    # numbers of 16 bits are sorted by their digits
+    number = (profile[chosen] // every).astype(np.uint16 if kept < 1 << 16 else np.intp)
+    order = np.argsort(number, kind="stable")
+    chosen, row = chosen[order], number[order].astype(np.intp)
+    sizes = np.bincount(row, minlength=kept)
+    place = np.arange(len(row)) - (np.cumsum(sizes) - sizes)[row]
     shape = (kept, max(int(sizes.max()), 1))
-    pixel_table = torch.full(shape, -1, dtype=torch.int64)
-    pixel_table[profile, place] = near[chosen]
-    offset_table = torch.zeros(shape, dtype=offset.dtype)
-    offset_table[profile, place] = offset[chosen]
-    return _Slots(pixel=pixel_table, offset=offset_table)
+    pixel_table = np.full(shape, -1)
+    pixel_table[row, place] = near[chosen]
+    offset_table = np.zeros(shape)
+    offset_table[row, place] = offset[chosen]
+    return _Slots(pixel=torch.from_numpy(pixel_table), offset=torch.from_numpy(offset_table))
 
 
-def _from_profile(
-    x: Tensor, y: Tensor, profile: Tensor, origin: Tensor, normal: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Where pixels (x, y) lie from the origin of their profile: along the axis and across it."""
-    (origin_x, origin_y), (normal_x, normal_y) = origin[profile].mT, normal[profile].mT
+def _from_profile(x: Array, y: Array, frame: Array, profile: Indices) -> tuple[Array, Array]:
+    """Where pixels (x, y) lie from the origin of their profile: along the axis and across it.
+
+    The frame holds x and y of all origins and of all normals, [4, P].
+    """
+    origin_x, origin_y, normal_x, normal_y = (values[profile] for values in frame)
     right, down = x - origin_x, y - origin_y
     return right * normal_y - down * normal_x, right * normal_x + down * normal_y
 
 
 def _rough_neighbours(
-    size: tuple[int, int], origin: Tensor, reach: float, spacing: float
-) -> tuple[Tensor, Tensor]:
+    size: tuple[int, int], origin: Array, reach: float, spacing: float
+) -> tuple[Indices, Indices]:
     """Index the pixels of a window that may lie within reach of the axis, and a profile near each.
 
     Whole blocks of them are looked at, since their distances to all profiles take the longest.
     """
     height, width = size
-    y, x = (
-        torch.arange(0, extent, COARSE, dtype=origin.dtype) + (COARSE - 1) / 2 for extent in size
-    )
+    y, x = (np.arange(0, extent, COARSE) + (COARSE - 1) / 2 for extent in size)
     stride = max(1, int(COARSE / spacing))
-    distance, nearest = torch.cdist(torch.cartesian_prod(x, y), origin[::stride]).min(1)
+    at_x, at_y = origin[::stride].T
+    squared = ((x[:, None] - at_x) ** 2)[None] + ((y[:, None] - at_y) ** 2)[:, None]
+    nearest = squared.argmin(-1)
+    distance = np.sqrt(np.take_along_axis(squared, nearest[..., None], -1)[..., 0])
     # a block's corner is 0.7 blocks from its middle, a place on the axis half one from an origin
     nearest[distance > reach + 1.3 * COARSE] = -1
-    fine = nearest.reshape(len(x), len(y)).mT.repeat_interleave(COARSE, 0)
-    fine = fine.repeat_interleave(COARSE, 1)[:height, :width].flatten()
-    near = (fine >= 0).nonzero()[:, 0]
+    fine = nearest.repeat(COARSE, 0).repeat(COARSE, 1)[:height, :width].ravel()
+    near = np.nonzero(fine >= 0)[0]
     return near, stride * fine[near]
 
 
@@ -205,8 +221,3 @@ def _take(picture: Tensor, index: Tensor) -> Tensor:
     flat = picture.flatten(2)
     taken = [flat[b][:, index[b]].permute(1, 2, 0) for b in range(len(flat))]
     return torch.stack(taken).to(torch.float64)
-
-
-def _ring_smoothed(picture: Tensor) -> Tensor:
-    """Average over 7 x 7 pixels without the inner 3 x 3, where demosaicing spreads own noise."""
-    return (49 * box_mean(picture, 7) - 9 * box_mean(picture, 3)) / 40
