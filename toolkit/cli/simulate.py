@@ -2,6 +2,7 @@
 
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 MAX_BOARDS = 99
 MAX_PIXELS = 64_000_000
 MIN_SIDE = 100
+MAX_READOUT = 10.0
 BOARD, SQUARE = (9, 6), 0.025
 
 
@@ -43,6 +45,13 @@ def simulate(
         float,
         typer.Option(metavar="SHARE", help="Light per electron; adds shot noise sqrt(gain*light)."),
     ] = 0.0,
+    readout: Annotated[
+        float,
+        typer.Option(
+            metavar="SECONDS",
+            help="Rolling shutter: from the start of the first row to that of the last row.",
+        ),
+    ] = 0.0,
     seed: Annotated[int, typer.Option(metavar="N", help="Draws noise and background.")] = 0,
 ) -> None:
     """Render a shot with known truth by averaging many sharp images of a ball.
@@ -57,6 +66,10 @@ def simulate(
         raise ConfigError(f"--seed is {seed}; a number from 0 up is needed")
     if not (math.isfinite(noise) and math.isfinite(gain)):
         raise ConfigError(f"--noise {noise} and --gain {gain} must be finite shares of white")
+    if not 0 <= readout <= MAX_READOUT:
+        raise ConfigError(
+            f"--readout is {readout:g} s; a number from 0 to {MAX_READOUT:g} is needed"
+        )
 
     from toolkit.synthetic import (
         NoiseLevel,
@@ -70,6 +83,7 @@ def simulate(
     level = NoiseLevel(read=noise, gain=gain)
     claim_folder(out)  # before the work, which would be lost if the folder cannot be used
     scene = preset_scene(preset, size=(width, height), noise=level, seed=seed)
+    scene = replace(scene, readout=readout)
     shot = render_shot(scene, seed=seed)
     is_plain = isinstance(scene.appearance, PlainBall)
     sharp = None if is_plain else render_sharp(scene, seed=seed)

@@ -10,6 +10,7 @@ from toolkit.cli.main import main
 from toolkit.cli.simulate import Preset, parse_size
 from toolkit.errors import ConfigError
 from toolkit.imaging import read_image
+from toolkit.rig import read_rig
 from toolkit.synthetic import PRESETS
 
 
@@ -42,6 +43,15 @@ def test_boards_take_the_place_of_the_camera_and_each_differs(tmp_path, capsys):
     assert first != second
 
 
+def test_a_rolling_shutter_is_rendered_and_told_to_the_measurement(tmp_path):
+    assert simulate(tmp_path / "global", "--format", "png") == 0
+    assert simulate(tmp_path / "rolling", "--format", "png", "--readout", "0.01") == 0
+    assert read_rig(tmp_path / "rolling" / "rig.toml").readout == 0.01
+    assert json.loads((tmp_path / "rolling" / "truth.json").read_text())["readout_s"] == 0.01
+    shots = [(tmp_path / kind / "shot.png").read_bytes() for kind in ("global", "rolling")]
+    assert shots[0] != shots[1]
+
+
 def test_a_seed_repeats_every_byte(tmp_path):
     for name in ("a", "b"):
         assert simulate(tmp_path / name, "--format", "png", "--seed", "5", "--gain", "1e-4") == 0
@@ -67,6 +77,8 @@ def test_noise_is_what_was_asked_for(tmp_path):
         (["--seed", "-4"], "--seed is -4"),
         (["--noise", "nan"], "must be finite"),
         (["--noise", "2"], "must lie in 0..1"),
+        (["--readout", "-1"], "--readout is -1 s; a number from 0 to 10 is needed"),
+        (["--readout", "nan"], "--readout is nan s"),
         (["--preset", "spiral"], "spiral"),
     ],
 )
