@@ -27,7 +27,7 @@ from scipy.spatial import cKDTree
 from plugins.uniform import Uniform
 from toolkit import StreakError
 from toolkit.contours import smooth_contours
-from toolkit.pipeline import fit_streak
+from toolkit.streak_fit import fit_streak
 from toolkit.synthetic import RenderedShot, benchmark_scene, render_shot
 from toolkit.view import StreakView, observe_streak
 

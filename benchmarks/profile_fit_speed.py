@@ -39,11 +39,11 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from plugins.uniform import Uniform
-from toolkit.pipeline import PROFILE_REACH
 from toolkit.profile_fit import START_BLUR, _first_guess, fit_profiles
 from toolkit.profile_model import OUTLIER_SAMPLE
 from toolkit.profiles import gather_profiles
 from toolkit.semi_ellipse import WINDOW_PER_BLUR
+from toolkit.streak_fit import PROFILE_REACH
 from toolkit.synthetic import benchmark_scene, render_shot
 from toolkit.types import Profiles
 from toolkit.view import observe_streak

@@ -19,10 +19,10 @@ from toolkit.contours import smooth_parameters
 from toolkit.errors import BadOutputError, StreakError
 from toolkit.guarded import guarded
 from toolkit.measurement import Candidate
-from toolkit.pipeline import PROFILE_REACH, fit_streak, settled
 from toolkit.profiles import axis_bend, gather_profiles
 from toolkit.semi_ellipse import semi_ellipse
 from toolkit.streak import ROI
+from toolkit.streak_fit import PROFILE_REACH, fit_streak, settled
 from toolkit.types import LinearImage, ProfileFit, Profiles
 from toolkit.view import StreakView, observe_streak
 

@@ -14,7 +14,8 @@ import torch
 
 from plugins.uniform import Uniform
 from toolkit.contours import smooth_contours
-from toolkit.pipeline import fit_streak, measure
+from toolkit.pipeline import measure
+from toolkit.streak_fit import fit_streak
 from toolkit.synthetic import benchmark_scene, render_shot
 from toolkit.view import observe_streak
 

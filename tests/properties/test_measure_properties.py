@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from plugins.uniform import Uniform
 from toolkit.camera import Camera
 from toolkit.measurement import Measurement
-from toolkit.pipeline import fit_streak, measure
+from toolkit.pipeline import measure
+from toolkit.streak_fit import fit_streak
 from toolkit.synthetic import NoiseLevel, benchmark_scene, render_shot
 from toolkit.types import LinearImage
 from toolkit.view import observe_streak

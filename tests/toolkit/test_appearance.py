@@ -9,7 +9,7 @@ from plugins.uniform import Uniform
 from toolkit import measure
 from toolkit.alpha import Chord
 from toolkit.appearance import guess_appearance
-from toolkit.pipeline import fit_streak
+from toolkit.streak_fit import fit_streak
 from toolkit.synthetic import (
     benchmark_scene,
     flat_background,

@@ -5,7 +5,7 @@ import pytest
 from plugins.uniform import Uniform
 from toolkit import StreakError, measure
 from toolkit.common_residual import MISSHAPEN, misfit_variance
-from toolkit.pipeline import fit_streak
+from toolkit.streak_fit import fit_streak
 from toolkit.synthetic import LambertBall, benchmark_scene, mean_colour, render_shot
 from toolkit.view import observe_streak
 

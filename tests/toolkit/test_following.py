@@ -10,8 +10,8 @@ from plugins.uniform import Uniform
 from toolkit.alpha import Observation
 from toolkit.contours import smooth_contours
 from toolkit.following import follow_motion, refit_flight, surroundings
-from toolkit.pipeline import fit_streak
 from toolkit.reconstruction import reconstruct_axis
+from toolkit.streak_fit import fit_streak
 from toolkit.synthetic import CircularPath, NoiseLevel, benchmark_scene, render_shot
 from toolkit.uncertainty import SPEED, covariances
 from toolkit.view import observe_streak

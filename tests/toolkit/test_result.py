@@ -9,9 +9,9 @@ import torch
 from plugins.uniform import Uniform
 from toolkit import Measurement
 from toolkit.contours import smooth_contours
-from toolkit.pipeline import fit_streak
 from toolkit.report import draw_overlay, summarise
 from toolkit.result import describe_profiles
+from toolkit.streak_fit import fit_streak
 from toolkit.synthetic import benchmark_scene, render_shot
 from toolkit.view import observe_streak
 

@@ -7,8 +7,8 @@ from plugins.uniform import Uniform
 from toolkit.contours import smooth_contours
 from toolkit.following import follow_motion
 from toolkit.motion import DURATION, PATH, PATH_POINTS, SPEED
-from toolkit.pipeline import fit_streak
 from toolkit.reconstruction import reconstruct_axis
+from toolkit.streak_fit import fit_streak
 from toolkit.synthetic import NoiseLevel, benchmark_scene, render_shot
 from toolkit.uncertainty import covariances
 from toolkit.view import observe_streak

@@ -1,0 +1,204 @@
+"""Fitting the profiles across a streak, from a rough axis to the smooth course of all of them."""
+
+import math
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from toolkit.alpha import AlphaEstimator
+from toolkit.appearance import guess_appearance
+from toolkit.common_residual import common_misfit
+from toolkit.contours import (
+    check_enough,
+    mark_profiles,
+    orders,
+    smooth_parameters,
+    widen_for_correlation,
+)
+from toolkit.ends import rough_ends
+from toolkit.errors import StreakError
+from toolkit.profile_fit import BLUR_ROUNDS, fit_profiles, improve_appearance, refine_profiles
+from toolkit.profile_model import KNOWN_SKEW, Skew
+from toolkit.profiles import axis_bend, gather_profiles
+from toolkit.streak import refine_axis
+from toolkit.types import Appearance, ProfileFit, ProfileFlag, Profiles
+from toolkit.view import StreakView
+
+PROFILE_REACH = 1.5
+"""Half widths that a profile extends to either side, and 4 px more."""
+PROFILES = 24
+"""To a half width, but never closer than one px: closer ones say no more together."""
+FIRST_LOOK = 8
+"""The same in the first look, about."""
+START_TOLERANCE = 0.2
+"""Standard deviations to which profiles are searched: the refinement needs no better start."""
+REFINEMENTS = 2
+"""Rounds in which profiles are fitted about the smooth course of all of them."""
+APPEARANCE_ROUNDS = 4
+"""Rounds in which what an estimator leaves open is found, before these."""
+MISFIT = 2.0
+"""Chi-square per degree of freedom beyond which the ball is not of one colour."""
+MANY_COLOURS = 10.0
+"""The same, from which no one colour can be found in the fit."""
+SHADING = 0.3
+"""Standard deviation of the skew that shading may cause."""
+CORNER = math.radians(40)
+"""Turn of the axis over two half widths, radians, beyond which the path has a corner."""
+END_MARGIN = 2.0
+"""px beyond the ball's first and last image in which profiles are still left out."""
+
+
+def fit_streak(view: StreakView, estimator: AlphaEstimator) -> tuple[ProfileFit, Profiles]:
+    """Fit all profiles of the streak, those that touch the ball's first or last image flagged END.
+
+    A first look at some profiles across the rough axis finds the middle of the streak; profiles are
+    then laid square to it, closer together, and fitted again, last of all about the smooth course
+    of all of them. Where the ball is visibly not of one colour, noise is taken to be as large as
+    the misfit, and the opacity may rise from one side to the other as shading makes it.
+
+    Returns:
+        The fit, and the profiles it was made of.
+
+    Raises:
+        StreakError: when too few profiles are good, or the path turns a corner.
+    """
+    axis, half_width, excess = view.streak.axis, view.streak.half_width, 1.0
+    guess = guess_appearance(view, estimator) if estimator.unknowns() else None
+    known = estimator if guess is None else estimator.settled(guess.values)
+    for per_half_width, blur_rounds in ((FIRST_LOOK, 1), (PROFILES, BLUR_ROUNDS)):
+        reach = PROFILE_REACH * float(half_width) + 4
+        spacing = max(1.0, float(half_width) / PROFILES)
+        every = max(1, int(float(half_width) / per_half_width / spacing))
+        profiles = gather_profiles(
+            view.observation,
+            view.clipped,
+            axis,
+            reach,
+            corner=view.corner,
+            spacing=spacing,
+            every=every,
+        )
+        fit, skew, excess = _fit_as_seen(profiles, known, half_width, excess, blur_rounds)
+        axis, half_width = _middle_line(fit), _median_half_width(fit)
+    _check_corner(profiles, float(half_width))
+    profiles = replace(profiles, variance=profiles.variance * excess)
+    if guess is not None:
+        fit = _find_appearance(profiles, estimator, guess, fit, skew)
+        known = settled(estimator, fit)
+    for _ in range(REFINEMENTS):
+        fit = refine_profiles(profiles, known, fit, smooth_parameters(fit)[None], skew)
+    misfit = common_misfit(profiles, fit, known, skew)
+    if guess is not None and misfit > MANY_COLOURS:
+        raise StreakError(
+            "the ball is not of one colour that the fit could find: its profiles have another "
+            f"shape, by {misfit:.0f} times the variance of their mean; use --estimator "
+            "known-shading with a sharp picture (--ball-image) of a shaded ball, two-colour for "
+            "one of two pigments, or give --ball-colour where it is evenly lit"
+        )
+    fit = widen_for_correlation(fit)
+    chi2 = fit.chi2_per_dof * excess
+    return replace(fit, chi2_per_dof=chi2, common_misfit=misfit), profiles
+
+
+def _fit_as_seen(
+    profiles: Profiles,
+    estimator: AlphaEstimator,
+    half_width: Tensor,
+    excess: float,
+    blur_rounds: int,
+) -> tuple[ProfileFit, Skew, float]:
+    """Fit profiles, and once more with noise as large as their misfit where one colour fails.
+
+    Args:
+        profiles: laid across the axis.
+        estimator: of the ball's opacity.
+        half_width: rough, px [1].
+        excess: by how much the misfit was seen to exceed the noise before, as a variance; else 1.
+        blur_rounds: how often the blur is improved.
+
+    Returns:
+        The fit, the skew it assumed, and the excess.
+    """
+    # a bent axis is covered for longer on its inner side: skew = half width / (2 bending radius)
+    bend_skew = axis_bend(profiles) * half_width[:, None] / 2
+    for is_last in (False, True):
+        skew = Skew(mean=bend_skew, std=KNOWN_SKEW if excess == 1 else SHADING)
+        widened = replace(profiles, variance=profiles.variance * excess)
+        fit = fit_profiles(
+            widened,
+            estimator,
+            half_width=half_width,
+            skew=skew,
+            tolerance=START_TOLERANCE,
+            blur_rounds=blur_rounds,
+        )
+        fit = _mark_ends(fit)
+        misfit = excess * _median_chi2(fit)
+        if is_last or excess > 1 or misfit <= MISFIT:
+            break
+        excess = misfit
+    check_enough(fit)
+    return fit, skew, excess
+
+
+def _find_appearance(
+    profiles: Profiles, estimator: AlphaEstimator, guess: Appearance, fit: ProfileFit, skew: Skew
+) -> ProfileFit:
+    """Find what the estimator leaves open of the ball's looks, and fit the profiles with it."""
+    looks = guess
+    for _ in range(APPEARANCE_ROUNDS):
+        about = smooth_parameters(fit)[None]
+        looks = improve_appearance(profiles, estimator, guess, looks.values, fit, about, skew)
+        fit = refine_profiles(profiles, estimator.settled(looks.values), fit, about, skew)
+    return replace(fit, appearance=looks)
+
+
+def settled(estimator: AlphaEstimator, fit: ProfileFit) -> AlphaEstimator:
+    """Give the estimator with what the fit found of the ball's looks."""
+    return estimator if fit.appearance is None else estimator.settled(fit.appearance.values)
+
+
+def _middle_line(fit: ProfileFit) -> Tensor:
+    """Smooth axis through the centres of the good profiles [1, N, 2] px."""
+    weight = torch.where(fit.good[0], 1 / fit.covariance[0, :, 0, 0], 0)
+    return refine_axis(fit.middle[0], weight, fit.position[0], orders(fit))
+
+
+def _median_half_width(fit: ProfileFit) -> Tensor:
+    """Median over the good profiles [1] px."""
+    return fit.half_width[0][fit.good[0]].median()[None]
+
+
+def _median_chi2(fit: ProfileFit) -> float:
+    """Median over the profiles between the ends, whether or not their search settled."""
+    usable = (fit.flags[0] & ~int(ProfileFlag.NOT_CONVERGED)) == 0
+    return float(fit.chi2_per_dof[0][usable].median()) if bool(usable.any()) else 1.0
+
+
+def _mark_ends(fit: ProfileFit) -> ProfileFit:
+    """Flag the profiles that meet the ball's first or last image.
+
+    No semi-ellipse is expected there (Caglioti & Giusti 2007, section 2).
+    """
+    first, last = rough_ends(fit)
+    middle = (fit.position > first) & (fit.position < last)
+    usable = middle & fit.good
+    width = float(fit.half_width[usable].median()) if bool(usable.any()) else 0.0
+    clear = width + END_MARGIN
+    is_end = (fit.position < first + clear) | (fit.position > last - clear)
+    return mark_profiles(fit, ProfileFlag.END, is_end)
+
+
+def _check_corner(profiles: Profiles, half_width: float) -> None:
+    """Raise `StreakError` where the path turns a corner, as at a bounce: no canal surface there."""
+    normal, origin = profiles.normal[0], profiles.origin[0]
+    reach = max(1, int(half_width / float(profiles.position[0].diff().mean())))
+    turn = (normal[: -2 * reach] * normal[2 * reach :]).sum(-1)
+    if len(turn) and float(turn.min()) < math.cos(CORNER):
+        x, y = origin[int(turn.argmin()) + reach].tolist()
+        raise StreakError(
+            f"the path turns a corner near ({x:.0f}, {y:.0f}) px, as at a bounce, where its "
+            "contours do not tell where the ball was; expose so that the bounce lies outside the "
+            "exposure"
+        )
