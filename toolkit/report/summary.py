@@ -16,7 +16,7 @@ def summarise(measurement: Measurement) -> str:
         ("position", _spread(measurement.position_m, measurement.position_std_m, "m")),
         ("direction", _vector(measurement.direction)),
         ("speed", _speed(measurement)),
-        ("velocity", _vector(measurement.velocity_m_s, "m/s")),
+        ("velocity", _velocity(measurement)),
         *_sign_rows(measurement.sign),
         ("time", _number(measurement.time_s, "s after the first row's exposure began")),
         ("profiles", _profiles(measurement.profiles)),
@@ -72,6 +72,12 @@ def _speed(measurement: Measurement) -> str:
     if measurement.speed_std_m_s is None:
         return f"{measurement.speed_m_s:.5g} m/s"
     return f"{_with_std(measurement.speed_m_s, measurement.speed_std_m_s)} m/s"
+
+
+def _velocity(measurement: Measurement) -> str:
+    """Nothing where the ball may have stood still: the likeliest of many says little then."""
+    is_known = measurement.speed_upper_m_s is None
+    return _vector(measurement.velocity_m_s, "m/s") if is_known else ""
 
 
 def _sign_rows(sign: Sign | None) -> Iterable[tuple[str, str]]:

@@ -57,8 +57,9 @@ def test_summary_says_what_matters():
 def test_unknown_speed_is_said_and_an_upper_limit_given():
     assert "speed      unknown" in summarise(Measurement())
     assert "speed      at most 0.12 m/s (95 %)" in summarise(Measurement(speed_upper_m_s=0.123))
-    still = Measurement(speed_m_s=0.05, speed_upper_m_s=0.123)
+    still = Measurement(speed_m_s=0.05, velocity_m_s=(0.05, 0.0, 0.0), speed_upper_m_s=0.123)
     assert "speed      at most 0.12 m/s (95 %)" in summarise(still)
+    assert "velocity" not in summarise(still)
 
 
 def test_settled_sign_names_its_cue_and_odds():
