@@ -116,6 +116,14 @@ class Bound:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ResidualMap:
+    """What the exact streak leaves unexplained in small patches before which the ball passed."""
+
+    place_px: tuple[Pixel, ...]  # [B] middle of the patch
+    sigma: tuple[float, ...]  # [B] error of its opacity in standard deviations: 1 is noise
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FitSummary:
     """How well the model explains the samples."""
 
@@ -123,6 +131,8 @@ class FitSummary:
     pixels: int  # samples that entered the fit
     iterations: int
     appearance: tuple[float, ...] | None = None  # what the estimator left open, such as a colour
+    blur_px: float | None = None  # standard deviation of the lens's point spread, where fitted
+    residuals: ResidualMap | None = None  # of the exact streak
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,19 +15,26 @@ from toolkit.errors import ConfigError, StreakError
 from toolkit.following import Reconstruction, follow_motion
 from toolkit.guarded import guarded
 from toolkit.light_change import light_caution
-from toolkit.measurement import Measurement
-from toolkit.motion import DEPTH
+from toolkit.measurement import Caution, Measurement, ProfileTable
+from toolkit.motion import DEPTH, Motion
 from toolkit.reconstruction import reconstruct_axis
 from toolkit.registry import name_of
-from toolkit.result import describe
+from toolkit.result import describe, describe_profiles, profile_table
+from toolkit.rough_motion import rough_motion
 from toolkit.streak import ROI
-from toolkit.streak_fit import fit_streak, settled
+from toolkit.streak_fit import ManyColours, fit_streak, settled
+from toolkit.sweep.choose import Start
+from toolkit.sweep.describe import describe_sweep
+from toolkit.sweep.doubt import motion_of
+from toolkit.sweep.refine import Shutter, refine
 from toolkit.types import Contours, LinearImage
 from toolkit.uncertainty import Uncertainty, covariances
-from toolkit.view import observe_streak
+from toolkit.view import StreakView, observe_streak
 
 STAGES = ("profiles", "contours", "sweep")
 """Of a measurement, each starting from the one before."""
+TRACEABLE = 2.8
+"""Length over width from which profiles between the ball's first and last image are looked for."""
 LOST_DEPTH = 1.0
 """Relative standard deviation of the depth from which nothing is known of it."""
 
@@ -43,7 +50,7 @@ def measure(
     ball_radius_std: float = 0.0,
     exposure_std: float = 0.0,
     roi: ROI | None = None,
-    stage: str = "contours",
+    stage: str = "sweep",
     readout: float = 0.0,
 ) -> Measurement:
     """Measure position, direction, speed and path of the ball in one motion-blurred picture.
@@ -79,10 +86,58 @@ def measure(
     check_pair(image, background)
     camera = fit_camera(camera, image)
     name, estimator = name_of(type(estimator)), guarded(estimator).seen_through(camera)
-    watch = _Stopwatch()
+    watch = Stopwatch()
 
     view = observe_streak(image, background, estimator, roi)
     watch.lap("streak")
+    exposure_std_share = exposure_std / exposure if exposure else 0.0
+    if stage == "profiles":
+        fit, _ = fit_streak(view, estimator)
+        contours, fit = smooth_contours(fit)
+        result = describe_profiles(fit, contours, drift=view.drift)
+        watch.lap("profiles")
+    elif stage == "contours":
+        found, cautions = follow_contours(view, image, estimator, camera, ball_radius, watch)
+        uncertainty = covariances(
+            found,
+            camera,
+            ball_radius,
+            ball_radius_std=ball_radius_std,
+            exposure_std_share=exposure_std_share,
+        )
+        _check_depth(found.motion, uncertainty)
+        result = describe(
+            found, uncertainty, ball_radius=ball_radius, exposure=exposure, drift=view.drift
+        )
+        result = replace(result, warnings=(*result.warnings, *cautions))
+        watch.lap("uncertainty")
+    else:
+        start, profiles = first_motion(view, image, estimator, camera, ball_radius, watch)
+        likeliest = refine(
+            view,
+            estimator,
+            camera,
+            ball_radius,
+            start,
+            Shutter(exposure=exposure, readout=readout, rows=image.height),
+            ball_radius_std=ball_radius_std,
+            exposure_std_share=exposure_std_share,
+        )
+        _check_depth(motion_of(likeliest.fit), likeliest.uncertainty)
+        result = describe_sweep(likeliest, exposure=exposure, drift=view.drift, profiles=profiles)
+        watch.lap("sweep")
+    return replace(result, estimator=name, timing_s=watch.seconds)
+
+
+def follow_contours(
+    view: StreakView,
+    image: LinearImage,
+    estimator: AlphaEstimator,
+    camera: Camera,
+    ball_radius: float,
+    watch: "Stopwatch",
+) -> tuple[Reconstruction, tuple[Caution, ...]]:
+    """Follow the paper: profiles, contours, the canal surface, and the motion along its axis."""
     fit, profiles = fit_streak(view, estimator)
     contours, fit = smooth_contours(fit)
     _check_contours_inside(contours, image)
@@ -93,21 +148,50 @@ def measure(
     light = None if estimator.unknowns() else light_caution(profiles, fit, known)
     found = follow_motion(view, known, camera, ball_radius, fit, contours, axis)
     watch.lap("motion")
-    uncertainty = covariances(
-        found,
-        camera,
-        ball_radius,
-        ball_radius_std=ball_radius_std,
-        exposure_std_share=exposure_std / exposure if exposure else 0.0,
-    )
-    _check_depth(found, uncertainty)
-    watch.lap("uncertainty")
+    return found, () if light is None else (light,)
 
-    result = describe(
-        found, uncertainty, ball_radius=ball_radius, exposure=exposure, drift=view.drift
+
+def first_motion(
+    view: StreakView,
+    image: LinearImage,
+    estimator: AlphaEstimator,
+    camera: Camera,
+    ball_radius: float,
+    watch: "Stopwatch",
+) -> tuple[Start, ProfileTable | None]:
+    """Find where the exact fit starts: at what the contours say, or at the opacity's moments.
+
+    The latter where the streak is too short for profiles, or turns a corner.
+
+    Returns:
+        The start, and the profiles where there are any.
+    """
+    refusal = None
+    if _length_in_widths(view) >= TRACEABLE:
+        try:
+            found, _ = follow_contours(view, image, estimator, camera, ball_radius, watch)
+        except ManyColours:
+            raise
+        except StreakError as error:
+            refusal = error
+        else:
+            return _start_at(found), profile_table(found.fit)
+    try:
+        rough = rough_motion(view, estimator, camera, ball_radius)
+    except StreakError as error:
+        raise refusal or error from None
+    watch.lap("rough motion")
+    return Start(path=rough.path, appearance=rough.colour, corner=rough.corner), None
+
+
+def _start_at(found: Reconstruction) -> Start:
+    fit = found.fit
+    return Start(
+        path=found.motion.path,
+        appearance=None if fit.appearance is None else fit.appearance.values,
+        blur=float(fit.blur[0]),
+        is_close=True,
     )
-    warnings = result.warnings if light is None else (*result.warnings, light)
-    return replace(result, estimator=name, warnings=warnings, timing_s=watch.seconds)
 
 
 def _check_contours_inside(contours: Contours, image: LinearImage) -> None:
@@ -122,9 +206,9 @@ def _check_contours_inside(contours: Contours, image: LinearImage) -> None:
         )
 
 
-def _check_depth(found: Reconstruction, uncertainty: Uncertainty) -> None:
+def _check_depth(motion: Motion, uncertainty: Uncertainty) -> None:
     """Raise `StreakError` where the depth is as good as unknown."""
-    depth = float(found.motion.position[2])
+    depth = float(motion.position[2])
     std = float(uncertainty.total[DEPTH, DEPTH].clamp_min(0).sqrt())
     if not std < LOST_DEPTH * depth:
         raise StreakError(
@@ -134,7 +218,7 @@ def _check_depth(found: Reconstruction, uncertainty: Uncertainty) -> None:
         )
 
 
-class _Stopwatch:
+class Stopwatch:
     """How long each stage took."""
 
     def __init__(self) -> None:
@@ -170,3 +254,10 @@ def _check_numbers(
 def _check_stage(stage: str) -> None:
     if stage not in STAGES:
         raise ConfigError(f"stage '{stage}' is unknown; use one of {', '.join(STAGES)}")
+
+
+def _length_in_widths(view: StreakView) -> float:
+    """Length of the whole streak over its width, roughly."""
+    axis = view.streak.axis[0]
+    length = float(torch.linalg.vector_norm(axis.diff(dim=0), dim=-1).sum())
+    return length / (2 * float(view.streak.half_width))

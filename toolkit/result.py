@@ -48,13 +48,13 @@ def describe_profiles(
         contours: through their edges.
         drift: change of the light since the background [3]; None where nobody looked.
     """
-    light = [] if drift is None else [_light_check(drift)]
+    light = [] if drift is None else [light_check(drift)]
     return Measurement(
         stage="profiles",
-        contours=_contour_points(contours),
-        profiles=_profile_table(fit),
+        contours=contour_points(contours),
+        profiles=profile_table(fit),
         fit=_summary(fit),
-        warnings=_due([*_profile_checks(fit), *light]),
+        warnings=due([*_profile_checks(fit), *light]),
     )
 
 
@@ -80,28 +80,28 @@ def describe(
         stage="contours",
         position_m=numbers(found.motion.position),
         position_std_m=numbers(std[:3]),
-        direction=numbers(_unit(found.motion.displacement)),
-        sign=_open_sign(found.motion, exposure),
-        trajectory=_path(found.motion, std, exposure),
-        contours=_contour_points(found.contours),
-        profiles=_profile_table(found.fit),
+        direction=numbers(unit_vector(found.motion.displacement)),
+        sign=open_sign(found.motion, exposure),
+        trajectory=path_samples(found.motion, std, exposure),
+        contours=contour_points(found.contours),
+        profiles=profile_table(found.fit),
         budget=Budget(
-            speed=None if exposure is None else _shares(uncertainty, SPEED),
-            depth=_shares(uncertainty, DEPTH),
+            speed=None if exposure is None else shares(uncertainty, SPEED),
+            depth=shares(uncertainty, DEPTH),
         ),
         fit=_summary(found.fit),
         warnings=_cautions(found, uncertainty, ball_radius, exposure, drift),
     )
     if exposure is None:
         return measurement
-    return _with_speed(measurement, found, uncertainty, exposure)
+    return with_speed(measurement, found.motion, uncertainty, exposure)
 
 
-def _with_speed(
-    measurement: Measurement, found: Reconstruction, uncertainty: Uncertainty, exposure: float
+def with_speed(
+    measurement: Measurement, motion: Motion, uncertainty: Uncertainty, exposure: float
 ) -> Measurement:
     """Add what only the exposure time, s, makes known."""
-    velocity = found.motion.displacement / exposure
+    velocity = motion.displacement / exposure
     scale = torch.ones(6, dtype=torch.float64)
     scale[3:] = 1 / exposure
     covariance = scale[:, None] * uncertainty.total[:6, :6] * scale
@@ -115,17 +115,17 @@ def _with_speed(
     )
 
 
-def _open_sign(motion: Motion, exposure: float | None) -> Sign:
+def open_sign(motion: Motion, exposure: float | None) -> Sign:
     """Say that the motion may as well be the reverse."""
     reverse = Alternative(
-        direction=numbers(-_unit(motion.displacement)),
+        direction=numbers(-unit_vector(motion.displacement)),
         velocity_m_s=None if exposure is None else numbers(-motion.displacement / exposure),
         probability=0.5,
     )
     return Sign(ambiguous=True, probability=0.5, alternatives=(reverse,))
 
 
-def _path(motion: Motion, std: Tensor, exposure: float | None) -> PathSamples:
+def path_samples(motion: Motion, std: Tensor, exposure: float | None) -> PathSamples:
     """Sample the path; `std` is that of the state, times and velocities need the exposure."""
     time = velocity = None
     if exposure is not None:
@@ -139,11 +139,11 @@ def _path(motion: Motion, std: Tensor, exposure: float | None) -> PathSamples:
     )
 
 
-def _contour_points(contours: Contours) -> ContourPoints:
+def contour_points(contours: Contours) -> ContourPoints:
     return ContourPoints(left=numbers(contours.points[0]), right=numbers(contours.points[1]))
 
 
-def _profile_table(fit: ProfileFit) -> ProfileTable:
+def profile_table(fit: ProfileFit) -> ProfileTable:
     return ProfileTable(
         centre_px=numbers(fit.middle[0]),
         half_width_px=numbers(fit.half_width[0]),
@@ -162,12 +162,12 @@ def _summary(fit: ProfileFit) -> FitSummary:
     )
 
 
-def _unit(vector: Tensor) -> Tensor:
+def unit_vector(vector: Tensor) -> Tensor:
     length: Tensor = torch.linalg.vector_norm(vector)
     return vector / length
 
 
-def _shares(uncertainty: Uncertainty, place: int) -> Shares:
+def shares(uncertainty: Uncertainty, place: int) -> Shares:
     """Shares of the variance of one component of the state; None for a source that is not known."""
     total = float(uncertainty.total[place, place])
 
@@ -226,9 +226,9 @@ def _cautions(
             "the contours do not fix it there",
         ),
         *_profile_checks(found.fit),
-        _light_check(drift),
+        light_check(drift),
     ]
-    return _due(checks)
+    return due(checks)
 
 
 def _profile_checks(fit: ProfileFit) -> list[Check]:
@@ -252,7 +252,7 @@ def _profile_checks(fit: ProfileFit) -> list[Check]:
     ]
 
 
-def _light_check(drift: Tensor) -> Check:
+def light_check(drift: Tensor) -> Check:
     change = float((drift - 1).abs().max())
     return (
         change > 0,
@@ -262,5 +262,5 @@ def _light_check(drift: Tensor) -> Check:
     )
 
 
-def _due(checks: Iterable[Check]) -> tuple[Caution, ...]:
+def due(checks: Iterable[Check]) -> tuple[Caution, ...]:
     return tuple(Caution(code=code, message=message) for is_due, code, message in checks if is_due)

@@ -49,6 +49,10 @@ END_MARGIN = 2.0
 """px beyond the ball's first and last image in which profiles are still left out."""
 
 
+class ManyColours(StreakError):
+    """The ball is not what the estimator takes it for, and no other way of looking helps."""
+
+
 def fit_streak(view: StreakView, estimator: AlphaEstimator) -> tuple[ProfileFit, Profiles]:
     """Fit all profiles of the streak, those that touch the ball's first or last image flagged END.
 
@@ -90,7 +94,7 @@ def fit_streak(view: StreakView, estimator: AlphaEstimator) -> tuple[ProfileFit,
         fit = refine_profiles(profiles, known, fit, smooth_parameters(fit)[None], skew)
     misfit = common_misfit(profiles, fit, known, skew)
     if guess is not None and misfit > MANY_COLOURS:
-        raise StreakError(
+        raise ManyColours(
             "the ball is not of one colour that the fit could find: its profiles have another "
             f"shape, by {misfit:.0f} times the variance of their mean; use --estimator "
             "known-shading with a sharp picture (--ball-image) of a shaded ball, two-colour for "

@@ -109,9 +109,7 @@ def test_exposure_may_be_unknown(folder):
     shot = load(folder)
     assert shot.exposure is None
     assert not {"exposure", "readout"} & set(shot.provenance)
-    with pytest.raises(
-        ConfigError, match=r"a readout of 0\.02 s says nothing without"
-    ):
+    with pytest.raises(ConfigError, match=r"a readout of 0\.02 s says nothing without"):
         load(folder, readout=0.02)
     assert load(folder, readout=0.02, exposure=0.1).readout == 0.02
 

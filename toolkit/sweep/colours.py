@@ -22,23 +22,31 @@ NARROW = 0.05
 class BallColours:
     """Colours before M pixels."""
 
-    colour: Tensor  # [M, Q], or [1, Q] where all are the same
-    slope: Tensor | None  # [M, Q] in the chord's offset, None where there is none
-    design: Tensor | None  # [M or 1, Q, A] in the unknowns of the appearance
+    colour: Tensor  # [Q, M], or [Q, 1] where all are the same
+    slope: Tensor | None  # [Q, M] in the chord's offset, None where there is none
+    design: Tensor | None  # [Q, A, M or 1] in the unknowns of the appearance
 
 
 def is_plain(estimator: AlphaEstimator) -> bool:
     """Say whether the ball shows the same on every chord."""
+    return estimator.foreground_and_slope(_middle(), _any_looks(estimator))[1] is None
+
+
+def count_channels(estimator: AlphaEstimator) -> int:
+    """Give the number of signal channels."""
+    return estimator.foreground(_middle(), _any_looks(estimator)).shape[-1]
+
+
+def _any_looks(estimator: AlphaEstimator) -> Tensor | None:
     unknowns = estimator.unknowns()
-    guess = torch.full((unknowns,), 0.5, dtype=torch.float64) if unknowns else None
-    return estimator.foreground_and_slope(_middle(), guess)[1] is None
+    return torch.full((unknowns,), 0.5, dtype=torch.float64) if unknowns else None
 
 
 def plain_colours(estimator: AlphaEstimator, appearance: Tensor) -> BallColours:
     """Give the one colour of a ball that shows it on every chord."""
     known = appearance if len(appearance) else None
     return BallColours(
-        colour=estimator.foreground(_middle(), known),
+        colour=estimator.foreground(_middle(), known).mT.double(),
         slope=None,
         design=_design(estimator, _middle(), len(appearance)),
     )
@@ -90,7 +98,10 @@ def seen_colours(
                     )
                 colour, slope = estimator.foreground_and_slope(chord, known)
                 design = _design(estimator, chord, len(appearance))
-                rows.append((at, BallColours(colour=colour, slope=slope, design=design)))
+                across = None if slope is None else slope.mT.double()
+                rows.append(
+                    (at, BallColours(colour=colour.mT.double(), slope=across, design=design))
+                )
     return _gathered(rows, len(gap))
 
 
@@ -99,9 +110,9 @@ def _gathered(rows: list[tuple[Tensor, BallColours]], count: int) -> BallColours
     slopes = [part.slope for _, part in rows if part.slope is not None]
     designs = [part.design for _, part in rows if part.design is not None]
     return BallColours(
-        colour=torch.cat([part.colour for _, part in rows])[order].double(),
-        slope=torch.cat(slopes)[order].double() if len(slopes) == len(rows) else None,
-        design=torch.cat(designs)[order].double() if len(designs) == len(rows) else None,
+        colour=torch.cat([part.colour for _, part in rows], dim=-1)[:, order],
+        slope=torch.cat(slopes, dim=-1)[:, order] if len(slopes) == len(rows) else None,
+        design=torch.cat(designs, dim=-1)[..., order] if len(designs) == len(rows) else None,
     )
 
 
@@ -131,4 +142,4 @@ def _design(estimator: AlphaEstimator, chord: Chord, unknowns: int) -> Tensor | 
     zero = torch.zeros(unknowns, dtype=torch.float64)
     base = estimator.foreground(chord, zero)
     columns = [estimator.foreground(chord, unit) - base for unit in torch.eye(unknowns).double()]
-    return torch.stack(columns, dim=-1)
+    return torch.stack(columns, dim=-1).movedim(0, -1).double()

@@ -5,16 +5,16 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from toolkit.least_squares import invert_information, minimise_equations
+from toolkit.least_squares import invert_information
 from toolkit.sweep.model import Comparison, SweepModel, compare
-from toolkit.sweep.opacity import PIXEL_VARIANCE
 from toolkit.sweep.pixels import Frame, StreakPixels
 
-COARSE_HALF_WIDTH = 8.0
-"""Half width of the streak on the coarsest squares, px."""
 MAX_STEPS = 40
-TOLERANCE = 0.02
-"""Standard deviations that a step may leave undone."""
+SETTLED = 2e-3
+"""Chi-square that a further step may promise: a twentieth of a standard deviation of all at once."""
+ROUGHLY = 0.05
+"""The same on coarse squares."""
+FIRST_DAMPING = 1e-4
 SMALLEST_SPREAD = 0.02
 LARGEST_SPREAD = 30.0
 """px^2, of lens and pixel; the pixel's own area counts for 1/12."""
@@ -50,83 +50,74 @@ class SweepFit:
         return position[0], displacement[0]
 
 
-def first_parameters(model: SweepModel, shape: Tensor, blur: float, looks: Tensor | None) -> Tensor:
-    """Put together where a search starts: the path's parameters [K], blur in px, appearance [A]."""
-    channels = len(_gains(model))
-    spread = torch.tensor([blur**2 + PIXEL_VARIANCE], dtype=torch.float64)
-    known = shape.new_zeros(0) if looks is None or not model.unknowns else looks.double()
-    return torch.cat([shape, spread, known, torch.ones(channels), torch.zeros(channels)]).double()
-
-
-def _gains(model: SweepModel) -> range:
-    from toolkit.sweep.colours import _middle  # noqa
-
-    return range(
-        model.estimator.foreground(
-            _middle(), torch.zeros(model.unknowns) if model.unknowns else None
-        ).shape[-1]
-    )
-
-
 def fit_sweep(
     model: SweepModel,
     start: Tensor,
     frame: Frame,
     *,
-    is_close: bool,
-    steps: int = MAX_STEPS,
+    side: int = 1,
+    doubt: float = 0.0,
 ) -> SweepFit:
-    """Find the most likely parameters.
+    """Find the most likely parameters, all pixels compared or squares of them.
 
     Args:
         model: of the streak.
         start: parameters to search from [P].
         frame: the window about the streak.
-        is_close: whether the start is good to a px; else squares of pixels are compared first.
-        steps: of each search, at most.
+        side: of the squares, px.
+        doubt: px by which the start may be off.
     """
-    x, iterations = start, 0
-    _, half_width = outline(model, x)
-    side = 1 if is_close else max(1, int(half_width / COARSE_HALF_WIDTH))
-    while True:
-        path_px, half_width = outline(model, x)
-        pixels = frame.about(path_px, half_width, side)
-        solution = _search(model, x, pixels, steps)
-        x, iterations = solution[0], iterations + solution[2]
-        if side == 1:
+    path_px, half_width = outline(model, start)
+    pixels = frame.about(path_px, half_width, side=side, doubt=doubt)
+    return search(model, start, pixels, tolerance=SETTLED if side == 1 else ROUGHLY)
+
+
+def search(
+    model: SweepModel, start: Tensor, pixels: StreakPixels, *, tolerance: float = SETTLED
+) -> SweepFit:
+    """Search by damped Gauss-Newton steps until one promises hardly any gain."""
+    x, seen, damping = start, compare(model, start, pixels), FIRST_DAMPING
+    converged, iteration = False, 0
+    for iteration in range(MAX_STEPS):
+        step, gain = _step(seen, damping)
+        if gain < tolerance:
+            converged = True
             break
-        side //= 2
+        candidate = _within_bounds(model, x + step)
+        trial = compare(model, candidate, pixels)
+        if trial.cost <= seen.cost:
+            x, seen, damping = candidate, trial, damping * 0.1
+        else:
+            damping = max(damping * 10, 1e-2)
     return SweepFit(
         model=model,
         parameters=x,
         pixels=pixels,
-        seen=compare(model, x, pixels),
-        converged=solution[1],
-        iterations=iterations,
+        seen=seen,
+        converged=converged,
+        iterations=iteration,
     )
 
 
-def _search(
-    model: SweepModel, start: Tensor, pixels: StreakPixels, steps: int
-) -> tuple[Tensor, bool, int]:
-    lower = torch.full_like(start, -torch.inf)
-    upper = torch.full_like(start, torch.inf)
+def _step(seen: Comparison, damping: float) -> tuple[Tensor, float]:
+    """Give the next step and the chi-square that it promises."""
+    scale = seen.information.diagonal().clamp_min(1e-300).rsqrt()
+    system = seen.information * torch.outer(scale, scale)
+    system.diagonal().add_(damping)
+    factor, failed = torch.linalg.cholesky_ex(system)
+    if int(failed):
+        system.diagonal().add_(1.0)
+        factor = torch.linalg.cholesky(system)
+    right = -(seen.gradient * scale)[:, None]
+    step = torch.cholesky_solve(right, factor)[:, 0]
+    return step * scale, float(step @ right[:, 0])
+
+
+def _within_bounds(model: SweepModel, x: Tensor) -> Tensor:
     k = model.path.size
-    lower[k], upper[k] = SMALLEST_SPREAD, LARGEST_SPREAD
-
-    def equations(x: Tensor, _: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        seen = compare(model, x[0], pixels)
-        return torch.tensor([seen.cost]).double(), seen.gradient[None], seen.information[None]
-
-    solution = minimise_equations(
-        equations,
-        start[None],
-        lower=lower,
-        upper=upper,
-        max_iterations=steps,
-        tolerance=TOLERANCE,
-    )
-    return solution.parameters[0], bool(solution.converged[0]), solution.iterations
+    x = x.clone()
+    x[k] = x[k].clamp(SMALLEST_SPREAD, LARGEST_SPREAD)
+    return x
 
 
 def outline(model: SweepModel, x: Tensor) -> tuple[Tensor, float]:

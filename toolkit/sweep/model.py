@@ -18,6 +18,7 @@ from toolkit.camera import Camera
 from toolkit.sweep.colours import (
     NARROW,
     BallColours,
+    count_channels,
     is_plain,
     plain_colours,
     seen_colours,
@@ -32,8 +33,6 @@ GAIN_STD = 0.02
 """Prior standard deviation of the background's gain, about 1."""
 OFFSET_STD = 0.005
 """The same of its offset, about 0, shares of white: both are known from beside the streak."""
-THINNEST = 1e-6
-"""Opacity below which a pixel does not see the ball."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +60,11 @@ class SweepModel:
         """Whether the ball shows the same on every chord."""
         return is_plain(self.estimator)
 
+    @cached_property
+    def channels(self) -> int:
+        """Number of signal channels, Q."""
+        return count_channels(self.estimator)
+
     def split(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """Give path, spread, appearance, gain and offset."""
         k, a = self.path.size, self.unknowns
@@ -83,13 +87,11 @@ class SweepModel:
             arc_opacity(arc, pixels.rays, low, high, wide, self.ball_radius)
             for arc, (low, high) in zip(arcs.coefficients, arcs.limits(start, stop), strict=True)
         ]
-        if len(parts) == 1:
+        if len(parts) == 1 and len(parts[0].alpha) == len(pixels):
             part = parts[0]
-            J = torch.cat([part.J_arc @ arcs.J[0], part.J_spread[:, None]], dim=-1)
             return Coverage(
-                index=part.passage.index,
                 alpha=part.alpha,
-                J=J,
+                J=torch.cat([arcs.J[0].mT @ part.J_arc, part.J_spread[None]]),
                 passage=part.passage,
                 piece=torch.zeros_like(part.passage.index),
             )
@@ -100,66 +102,60 @@ class SweepModel:
         shape, _, appearance, _, _ = self.split(x)
         if self.is_plain:
             return plain_colours(self.estimator, appearance)
-        start, stop = self.exposure_of(pixels)
         return seen_colours(
             self.estimator,
             appearance,
             covered.passage,
             self.path.arcs(shape),
-            (start[covered.index], stop[covered.index]),
+            self.exposure_of(pixels),
             self.camera,
             self.ball_radius,
         )
 
     def J_offset(self, x: Tensor, pixels: StreakPixels, covered: "Coverage") -> Tensor:
-        """Give the derivative of each covered pixel's chord offset in the path [M, K]."""
-        arcs, passage = self.path.arcs(self.split(x)[0]), covered.passage
-        u, t = pixels.rays.unit[covered.index], passage.instant[:, None]
-        piece = covered.piece
-        c0, c1, c2 = arcs.coefficients[piece].unbind(1)
-        gap = torch.linalg.cross(c0 + t * (c1 + t * c2), u)
-        length = torch.linalg.vector_norm(gap, dim=-1, keepdim=True).clamp_min(
-            NARROW * self.ball_radius
-        )
-        pull = torch.linalg.cross(u, gap) * passage.side[:, None] / (length * self.ball_radius)
-        J_arc = torch.cat([pull, t * pull, t * t * pull], dim=-1)
+        """Give the derivative of each covered pixel's chord offset in the path [K, M]."""
+        arcs, passage, piece = self.path.arcs(self.split(x)[0]), covered.passage, covered.piece
+        u, t = pixels.rays.unit, passage.instant
+        c0, c1, c2 = arcs.coefficients[piece].permute(1, 2, 0)
+        centre = c0 + t * (c1 + t * c2)
+        away = centre - (centre * u).sum(0) * u
+        distance = torch.linalg.vector_norm(away, dim=0).clamp_min(NARROW * self.ball_radius)
+        pull = away * (passage.side / (distance * self.ball_radius))
+        J_arc = torch.cat([pull, t * pull, t * t * pull])
         if len(arcs.J) == 1:
-            return J_arc @ arcs.J[0]
-        return (J_arc[:, None] @ arcs.J[piece])[:, 0]
+            return arcs.J[0].mT @ J_arc
+        return torch.einsum("mak,am->km", arcs.J[piece], J_arc)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Coverage:
-    """The opacity of the M pixels that the ball covers."""
+    """The opacity of N pixels."""
 
-    index: Tensor  # [M] of the pixels
-    alpha: Tensor  # [M]
-    J: Tensor  # [M, K + 1] in the path's parameters and the spread
+    alpha: Tensor  # [N]
+    J: Tensor  # [K + 1, N] in the path's parameters and the spread
     passage: Passage  # on the arc that covers the pixel most
-    piece: Tensor  # [M] that arc's number
+    piece: Tensor  # [N] that arc's number
 
 
 def _joined(parts: list[ArcOpacity], J_arcs: Tensor, count: int) -> Coverage:
     """Add up what several arcs cover."""
-    size = J_arcs.shape[-1] + 1
     alpha, most = torch.zeros(2, count, dtype=torch.float64).unbind()
-    J = torch.zeros(count, size, dtype=torch.float64)
-    rows = torch.zeros(count, 4, dtype=torch.float64)
+    J = torch.zeros(J_arcs.shape[-1] + 1, count, dtype=torch.float64)
+    # far from all: nothing of the ball is seen, an instant and a stiffness there mean nothing
+    rows = torch.tensor([[0.0], [-1.0], [1.0], [1.0]], dtype=torch.float64).repeat(1, count)
     piece = torch.zeros(count, dtype=torch.long)
     for number, (part, J_arc) in enumerate(zip(parts, J_arcs, strict=True)):
         p = part.passage
         alpha.index_add_(0, p.index, part.alpha)
-        J.index_add_(0, p.index, torch.cat([part.J_arc @ J_arc, part.J_spread[:, None]], dim=-1))
+        J.index_add_(1, p.index, torch.cat([J_arc.mT @ part.J_arc, part.J_spread[None]]))
         is_most = part.alpha > most[p.index]
         at = p.index[is_most]
         most[at], piece[at] = part.alpha[is_most], number
-        rows[at] = torch.stack([p.instant, p.room, p.stiffness, p.side], dim=-1)[is_most]
-    index = (most > 0).nonzero()[:, 0]
-    instant, room, stiffness, side = rows[index].unbind(-1)
+        rows[:, at] = torch.stack([p.instant, p.room, p.stiffness, p.side])[:, is_most]
+    instant, room, stiffness, side = rows
+    index = torch.arange(count)
     passage = Passage(index=index, instant=instant, room=room, stiffness=stiffness, side=side)
-    return Coverage(
-        index=index, alpha=alpha[index], J=J[index], passage=passage, piece=piece[index]
-    )
+    return Coverage(alpha=alpha, J=J, passage=passage, piece=piece)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -169,9 +165,35 @@ class Comparison:
     cost: float
     gradient: Tensor  # [P] half of the cost's
     information: Tensor  # [P, P]
-    residual: Tensor  # [N, Q] in standard deviations; 0 where nothing was measured
+    residual: Tensor  # [Q, N] in standard deviations; 0 where nothing was measured
     coverage: Coverage
-    J: tuple[Tensor, ...]  # for each channel [M, P_q] of the covered pixels, whitened
+    contrast: Tensor  # [Q, N] of ball and background, over the standard deviation
+    J: tuple[Tensor, ...]  # for each channel [P_q, N], whitened
+    columns: tuple[Tensor, ...]  # for each channel the parameters [P_q] these belong to
+
+    @property
+    def pull(self) -> Tensor:
+        """How much each pixel wants the opacity to rise [N], times `hold`."""
+        return (self.residual * self.contrast).sum(0)
+
+    @property
+    def hold(self) -> Tensor:
+        """Information of each pixel about its opacity [N]."""
+        return (self.contrast * self.contrast).sum(0)
+
+    def answer(self, change: Tensor) -> Tensor:
+        """Give the change of the parameters [P] that a change of the whitened picture causes.
+
+        Args:
+            change: of the pixels, in standard deviations [Q, N].
+        """
+        pull = torch.zeros_like(self.gradient)
+        for q, (J, at) in enumerate(zip(self.J, self.columns, strict=True)):
+            pull[at] += J @ change[q]
+        solution: Tensor = torch.linalg.lstsq(
+            self.information, pull[:, None], driver="gelsd"
+        ).solution
+        return solution[:, 0]
 
 
 def compare(
@@ -179,69 +201,69 @@ def compare(
 ) -> Comparison:
     """Compare the model of parameters [P] with the pixels."""
     _, _, _, gain, offset = model.split(x)
+    gains = torch.cat([gain - 1, offset])
     covered = model.opacity(x, pixels)
-    index, alpha = covered.index, covered.alpha
+    alpha, rest = covered.alpha, 1 - covered.alpha
+    gain, offset = gain[:, None], offset[:, None]
     lit = pixels.ground * gain + offset
-    own, empty = pixels.shot_variance, pixels.ground_variance * gain**2
-    residual = pixels.signal - lit
-    variance = own + empty
-    a, rest = alpha[:, None], 1 - alpha[:, None]
+    empty = pixels.ground_variance * gain
     ball = model.colours(x, pixels, covered)
-    variance[index] = own[index] + rest**2 * empty[index]
-    residual[index] -= a * (ball.colour - lit[index])
-    precision = variance.reciprocal()  # 0 where nothing was measured
-    z = residual * precision.sqrt()
+    residual = pixels.signal - lit - alpha * (ball.colour - lit)
+    precision = 1 / (pixels.shot_variance + rest**2 * gain * empty)  # 0 where nothing was measured
+    root = precision.sqrt()
+    z = residual * root
     size = z.abs()
-    weight = precision if huber == float("inf") else precision * (huber / size.clamp_min(huber))
-    linear = huber * (2 * size - huber) if huber < float("inf") else size
-    cost = float(torch.where(size > huber, linear, z * z).sum())
+    cost = float((size * size).sum())
+    is_far = size > huber
+    if bool(is_far.any()):
+        far = size[is_far]
+        cost += float((huber * (2 * far - huber) - far * far).sum())
+        root[is_far] *= (huber / far).sqrt()
 
     # derivatives hold the likeliest background
-    likeliest = pixels.ground_variance * gain * residual * precision
-    likeliest[index] *= rest
-    likeliest += pixels.ground
-    miss = residual[index]
-    contrast = ball.colour - likeliest[index] * gain - offset
+    likeliest = pixels.ground + empty * rest * residual * precision
+    contrast = ball.colour - likeliest * gain - offset
     J_offset = None if ball.slope is None else model.J_offset(x, pixels, covered)
-    outside = weight.index_fill(0, index, 0)
-    k, channels = model.path.size, pixels.signal.shape[-1]
+    k, channels = model.path.size, len(pixels.signal)
     shared = k + 1 + model.unknowns
     gradient = torch.zeros(len(x), dtype=torch.float64)
     information = torch.zeros(len(x), len(x), dtype=torch.float64)
-    whitened = []
+    whitened, columns_of = [], []
     for q in range(channels):
         at = torch.tensor([*range(shared), shared + q, shared + channels + q])
-        empty_q, ground = outside[:, q], likeliest[:, q]
-        flat = torch.stack([ground, torch.ones_like(ground)], dim=-1)
-        weighed = empty_q[:, None] * flat
-        information[at[-2:, None], at[-2:]] += weighed.mT @ flat
-        gradient[at[-2:]] -= weighed.mT @ residual[:, q]
-
-        columns = covered.J * contrast[:, q, None]
+        J = torch.empty(len(at), len(pixels), dtype=torch.float64)
+        torch.mul(covered.J, contrast[q] * root[q], out=J[: k + 1])
         if J_offset is not None and ball.slope is not None:
-            columns[:, :k] += (alpha * ball.slope[:, q])[:, None] * J_offset
-        parts = [columns] if ball.design is None else [columns, a * ball.design[:, q]]
-        J = torch.cat([*parts, rest * flat[index]], dim=-1) * weight[index, q, None].sqrt()
-        information[at[:, None], at] += J.mT @ J
-        gradient[at] -= J.mT @ (miss[:, q] * weight[index, q].sqrt())
+            J[:k] += (alpha * ball.slope[q] * root[q]) * J_offset
+        if ball.design is not None:
+            torch.mul(ball.design[q], alpha * root[q], out=J[k + 1 : shared])
+        torch.mul(rest, root[q], out=J[-1])
+        torch.mul(J[-1], likeliest[q], out=J[-2])
+        information[at[:, None], at] += J @ J.mT
+        gradient[at] -= J @ (residual[q] * root[q])
         whitened.append(J)
-    cost += _add_priors(gradient, information, gain, offset, shared)
+        columns_of.append(at)
+    beside = pixels.beside
+    gradient[shared:] += beside.gradient + beside.information @ gains
+    information[shared:, shared:] += beside.information
+    cost += beside.cost + float(gains @ (2 * beside.gradient + beside.information @ gains))
+    cost += _add_priors(gradient, information, gains, shared)
     return Comparison(
         cost=cost,
         gradient=gradient,
         information=information,
         residual=z,
         coverage=covered,
+        contrast=contrast * precision.sqrt(),
         J=tuple(whitened),
+        columns=tuple(columns_of),
     )
 
 
-def _add_priors(
-    gradient: Tensor, information: Tensor, gain: Tensor, offset: Tensor, first: int
-) -> float:
+def _add_priors(gradient: Tensor, information: Tensor, gains: Tensor, first: int) -> float:
     """Hold gains about 1 and offsets about 0, weakly; return what this costs."""
-    std = torch.tensor([GAIN_STD] * len(gain) + [OFFSET_STD] * len(offset), dtype=torch.float64)
-    away = torch.cat([gain - 1, offset]) / std
-    gradient[first:] += away / std
-    information.diagonal()[first:] += 1 / std**2
-    return float(away @ away)
+    half = len(gains) // 2
+    precision = torch.tensor([GAIN_STD**-2] * half + [OFFSET_STD**-2] * half, dtype=torch.float64)
+    gradient[first:] += gains * precision
+    information.diagonal()[first:] += precision
+    return float(gains @ (gains * precision))

@@ -12,7 +12,6 @@ by its mean, and its variance widens the ramps. Where a contour meets the ball's
 a short quadrature takes its place. [derived]
 """
 
-import math
 from dataclasses import dataclass
 from functools import cache
 
@@ -33,19 +32,21 @@ NODES = 14
 GUESSES = 9
 """Instants from which the one of closest approach is searched on a bent arc."""
 NEWTON_STEPS = 4
+MOSTLY = 0.6
+"""Share of the rays from which an arc is followed for all of them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rays:
     """Where N pixels look."""
 
-    unit: Tensor  # [N, 3]
-    right: Tensor  # [N, 3] change of the ray for one px to the right
-    down: Tensor  # [N, 3] the same downwards
+    unit: Tensor  # [3, N]
+    right: Tensor  # [3, N] change of the ray for one px to the right
+    down: Tensor  # [3, N] the same downwards
 
     def __getitem__(self, index: Tensor) -> "Rays":
         """Give those with some indices."""
-        return Rays(unit=self.unit[index], right=self.right[index], down=self.down[index])
+        return Rays(unit=self.unit[:, index], right=self.right[:, index], down=self.down[:, index])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,7 +66,7 @@ class ArcOpacity:
 
     passage: Passage
     alpha: Tensor  # [M]
-    J_arc: Tensor  # [M, 9] in c0, c1, c2
+    J_arc: Tensor  # [9, M] in c0, c1, c2
     J_spread: Tensor  # [M] in the variance of the spread, per px^2
 
 
@@ -79,6 +80,10 @@ def arc_opacity(
 ) -> ArcOpacity:
     """Give the opacity by which one arc covers each ray, and its derivatives in closed form.
 
+    With s = C.u the squared distance of the centre from a ray is f = |C|^2 - s^2, so that all that
+    changes from ray to ray is told by the products of u, and of its change from pixel to pixel,
+    with the arc's coefficients.
+
     Args:
         arc: c0, c1, c2 [3, 3]: m, m per exposure, m per exposure^2.
         rays: N of them.
@@ -87,22 +92,19 @@ def arc_opacity(
         spread: variance of lens and pixel together, px^2.
         ball_radius: m.
     """
-    near = _near(arc, rays, start, stop, spread, ball_radius)
-    seen, start, stop = rays[near.index], start[near.index], stop[near.index]
-    t, u = near.instant, seen.unit
-    slope = arc[1] + 2 * t[:, None] * arc[2]
-    centre = arc[0] + t[:, None] * (arc[1] + t[:, None] * arc[2])
-    g, g1 = _cross(centre, u), _cross(slope, u)
-    g2 = _cross(2 * arc[2].expand_as(u), u)
-    skewness = _dot(g1, g2)
-    A, q = near.stiffness, near.room
+    near, seen, start, stop = _near(arc, rays, start, stop, spread, ball_radius)
+    t, A = near.instant, near.stiffness
+    s, s1, s2 = _along(arc @ seen.unit, t)
+    right, right1, _ = _along(arc @ seen.right, t)
+    down, down1, _ = _along(arc @ seen.down, t)
+    skewness = _poly(arc[1] @ arc[2] * 2, 4 * arc[2] @ arc[2], t) - s1 * s2
+    curl = 4 * float(arc[2] @ arc[2]) - s2 * s2
 
     # how q and t_m change from pixel to pixel
-    turn_q = 2 * _cross(centre, g)
-    turn_t = (_cross(centre, g1) + _cross(slope, g)) / A[:, None]
-    q_right, q_down = _dot(turn_q, seen.right), _dot(turn_q, seen.down)
-    t_right, t_down = _dot(turn_t, seen.right), _dot(turn_t, seen.down)
-    bend = _dot(centre, centre) * (_dot(seen.right, seen.right) + _dot(seen.down, seen.down)) / 2
+    q_right, q_down = 2 * s * right, 2 * s * down
+    t_right, t_down = (right * s1 + s * right1) / A, (down * s1 + s * down1) / A
+    distance = _poly(arc[0] @ arc[0], 2 * arc[0] @ arc[1], t)
+    bend = distance * float((seen.right**2 + seen.down**2).sum(0).mean()) / 2
     over = _Spread(
         q=(spread * (q_right**2 + q_down**2) + 2 * (spread * bend) ** 2).sqrt(),
         t=spread * (t_right**2 + t_down**2),
@@ -110,10 +112,10 @@ def arc_opacity(
     )
     form = _Form(
         instant=t,
-        room=q - spread * bend,
+        room=near.room - spread * bend,
         A=A,
         lean=-skewness / (2 * A),
-        swell=5 * skewness**2 / (8 * A**2) - _dot(g2, g2) / (8 * A),
+        swell=5 * skewness**2 / (8 * A**2) - curl / (8 * A),
         start=start,
         stop=stop,
     )
@@ -121,7 +123,7 @@ def arc_opacity(
     corner = _corners(form, over)
     if len(corner):
         alpha[corner], by_corner = _corner_opacity(form[corner], over[corner])
-        by = by.with_part(corner, by_corner)
+        by.put(corner, by_corner)
     by_q_spread = by.q_spread * spread / over.q
     J_spread = (
         by_q_spread * (over.q**2 / (2 * spread**2))
@@ -129,28 +131,60 @@ def arc_opacity(
         - by.q * bend
     )
 
-    # the spreads change with the arc as the slopes of q and t_m do
-    along_q = _mix(by_q_spread * q_right + spread * by.joint * t_right, seen.right) + _mix(
-        by_q_spread * q_down + spread * by.joint * t_down, seen.down
+    # the slopes of q and t_m, and with them the spreads, change with the arc too
+    by_q_right = by_q_spread * q_right + spread * by.joint * t_right
+    by_q_down = by_q_spread * q_down + spread * by.joint * t_down
+    by_t_right = spread * (2 * by.t_spread * t_right + by.joint * q_right) / A
+    by_t_down = spread * (2 * by.t_spread * t_down + by.joint * q_down) / A
+    by_A = by.A - by_t_right * t_right - by_t_down * t_down
+    by_t = by.t + 3 * by_A * skewness
+    by_t = by_t + 2 * (by_q_right * (s1 * right + s * right1) + by_q_down * (s1 * down + s * down1))
+    by_t = (by_t + 2 * s1 * (by_t_right * right1 + by_t_down * down1)) / A
+    # ... each derivative in C, C' and C'' is a sum of these vectors, of u, and of its changes
+    sideways = by_t_right * right + by_t_down * down
+    u_share = (
+        2 * by.q * s
+        + by_t * s1
+        - by_A * s2
+        + 2 * (by_q_right * right + by_q_down * down)
+        + by_t_right * right1
+        + by_t_down * down1
     )
-    along_t = spread * (
-        _mix(2 * by.t_spread * t_right + by.joint * q_right, seen.right)
-        + _mix(2 * by.t_spread * t_down + by.joint * q_down, seen.down)
-    )
-    by_A = by.A - _dot(along_t, turn_t) / A
-    along_t = along_t / A[:, None]
-    by_t = by.t + by_A * 3 * skewness + 2 * _dot(along_q, _cross(slope, g) + _cross(centre, g1))
-    by_t = (by_t + 2 * _dot(along_t, _cross(slope, g1))) / A
-    X0, X1, X2 = _cross(u, g), _cross(u, g1), _cross(u, g2)
-    by_C = _mix(-2 * by.q, X0) - _mix(by_t, X1) + _mix(by_A, X2)
-    by_C = by_C + 2 * (_cross(g, along_q) + _cross(u, _cross(along_q, centre)))
-    by_C = by_C + _cross(g1, along_t) + _cross(u, _cross(along_t, slope))
-    by_C1 = -_mix(by_t, X0) + _mix(2 * by_A, X1)
-    by_C1 = by_C1 + _cross(g, along_t) + _cross(u, _cross(along_t, centre))
-    by_C2 = _mix(by_A, X0)
-    t = t[:, None]
-    J_arc = torch.cat([by_C, t * by_C + by_C1, t * (t * by_C + 2 * by_C1) + 2 * by_C2], dim=-1)
-    return ArcOpacity(passage=near, alpha=alpha, J_arc=J_arc, J_spread=J_spread)
+    by_C = u_share * seen.unit
+    by_C += (2 * s * by_q_right + s1 * by_t_right) * seen.right
+    by_C += (2 * s * by_q_down + s1 * by_t_down) * seen.down
+    by_C += arc.mT @ _powers(-2 * by.q, -by_t, by_A, t)
+    by_C1 = (by_t * s - 2 * by_A * s1 + sideways) * seen.unit
+    by_C1 += s * (by_t_right * seen.right + by_t_down * seen.down)
+    by_C1 += arc.mT @ _powers(-by_t, 2 * by_A, None, t)
+    J0 = by_C
+    J1 = t * by_C + by_C1
+    if bool((arc[2] == 0).all()):
+        by_C2 = by_A * (arc[0][:, None] + t * arc[1][:, None] - s * seen.unit)
+    else:
+        by_C2 = arc.mT @ _powers(by_A, None, None, t) - (by_A * s) * seen.unit
+    J2 = t * (J1 + by_C1) + 2 * by_C2
+    return ArcOpacity(passage=near, alpha=alpha, J_arc=torch.cat([J0, J1, J2]), J_spread=J_spread)
+
+
+def _along(products: Tensor, t: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Give C.x, C'.x and C''.x at time t from c0.x, c1.x and c2.x [3, M]."""
+    p0, p1, p2 = products
+    return p0 + t * (p1 + t * p2), p1 + 2 * t * p2, 2 * p2
+
+
+def _poly(first: Tensor, second: Tensor, t: Tensor) -> Tensor:
+    return first + second * t
+
+
+def _powers(C: Tensor, C1: Tensor | None, C2: Tensor | None, t: Tensor) -> Tensor:
+    """Turn shares of the vectors C, C', C'' [M] into shares of c0, c1, c2 [3, M]."""
+    second, third = t * C, t * t * C
+    if C1 is not None:
+        second, third = second + C1, third + 2 * t * C1
+    if C2 is not None:
+        third = third + 2 * C2
+    return torch.stack([C, second, third])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -191,36 +225,49 @@ class _Form:
 
 def _near(
     arc: Tensor, rays: Rays, start: Tensor, stop: Tensor, spread: float, ball_radius: float
-) -> Passage:
+) -> tuple[Passage, Rays, Tensor, Tensor]:
     """Find when the ball's centre is nearest to each ray, and keep the rays that it may cover."""
-    u = rays.unit
-    across = torch.cat([_skew(c) for c in arc])  # c x u for the three at once
-    m, w, b = (u @ across.mT).unflatten(-1, (3, 3)).unbind(-2)
-    mw, ww = _dot(m, w), _dot(w, w)
+    a0, a1, a2 = arc @ rays.unit
+    c = arc @ arc.mT
     if bool((arc[2] == 0).all()):
-        t, A = -mw / ww, ww
-        f = _dot(m, m) - mw * mw / ww
+        A = c[1, 1] - a1 * a1
+        t = (a0 * a1 - c[0, 1]) / A
+        f = c[0, 0] - a0 * a0 - A * t * t
     else:
-        mm, mb, wb, bb = _dot(m, m), _dot(m, b), _dot(w, b), _dot(b, b)
-        t = _nearest_instant((mm, 2 * mw, ww + 2 * mb, 2 * wb, bb), start, stop)
-        f = mm + t * (2 * mw + t * (ww + 2 * mb + t * (2 * wb + t * bb)))
-        A = ww + 2 * mb + t * (6 * wb + t * 6 * bb)
-    # a px more or less of room, roughly: |dq / dpx| <= 2 R |C| |du|
-    distance = torch.linalg.vector_norm(arc[0])
-    step = distance * torch.linalg.vector_norm(rays.right, dim=-1)
+        quartic = (
+            c[0, 0] - a0 * a0,
+            2 * (c[0, 1] - a0 * a1),
+            c[1, 1] + 2 * c[0, 2] - a1 * a1 - 2 * a0 * a2,
+            2 * (c[1, 2] - a1 * a2),
+            c[2, 2] - a2 * a2,
+        )
+        t = _nearest_instant(quartic, start, stop)
+        f0, f1, f2, f3, f4 = quartic
+        f = f0 + t * (f1 + t * (f2 + t * (f3 + t * f4)))
+        A = f2 + t * (3 * f3 + t * 6 * f4)
+    # room for the spread: a px is about this long at the ball
+    step = float(c[0, 0].sqrt() * torch.linalg.vector_norm(rays.right[:, 0]))
     slack = REACH * spread**0.5 * step
-    half = ((ball_radius + slack) ** 2 - f).clamp_min(0) / A
-    # ends are ramps as wide as the spread; in time a px lasts step / |w|
-    reach = half.sqrt() + slack / A.sqrt()
-    is_near = (half > 0) & (t + reach > start) & (t - reach < stop) & (A > 0)
+    half = (((ball_radius + slack) ** 2 - f).clamp_min(0) / A).sqrt()
+    reach = half + slack * A.rsqrt()
+    is_near = (half > 0) & (t + reach > start) & (t - reach < stop)
     index = is_near.nonzero()[:, 0]
-    t = t[index]
-    slope, centre = arc[1] + 2 * t[:, None] * arc[2], arc[0] + t[:, None] * arc[1]
-    centre = centre + t[:, None] ** 2 * arc[2]
-    side = _dot(u[index], _cross(centre, slope)).sign()
-    return Passage(
-        index=index, instant=t, room=ball_radius**2 - f[index], stiffness=A[index], side=side
-    )
+    room = ball_radius**2 - f
+    if len(index) < MOSTLY * len(t):
+        t, A, room, start, stop = t[index], A[index], room[index], start[index], stop[index]
+        rays = rays[index]
+    else:  # to leave out the few that it does not cover costs more than to follow them
+        index = torch.arange(len(t))
+    unit = rays.unit
+    # u . (C x C'), which is the same for C and C' at any time of a straight arc
+    c01 = torch.linalg.cross(arc[0], arc[1])
+    side = c01 @ unit
+    if bool((arc[2] != 0).any()):
+        c02 = torch.linalg.cross(arc[0], arc[2])
+        c12 = torch.linalg.cross(arc[1], arc[2])
+        side = side + t * (2 * (c02 @ unit) + t * (c12 @ unit))
+    passage = Passage(index=index, instant=t, room=room, stiffness=A, side=side.sign())
+    return passage, rays, start, stop
 
 
 def _nearest_instant(quartic: tuple[Tensor, ...], start: Tensor, stop: Tensor) -> Tensor:
@@ -252,13 +299,10 @@ class _Slopes:
     t_spread: Tensor  # variance of t_m
     joint: Tensor  # covariance of the two
 
-    def with_part(self, index: Tensor, part: "_Slopes") -> "_Slopes":
+    def put(self, index: Tensor, part: "_Slopes") -> None:
         """Put others in some places."""
-        whole, new = (
-            torch.stack([s.t, s.q, s.A, s.q_spread, s.t_spread, s.joint]) for s in (self, part)
-        )
-        t, q, A, q_spread, t_spread, joint = whole.index_copy(1, index, new).unbind()
-        return _Slopes(t=t, q=q, A=A, q_spread=q_spread, t_spread=t_spread, joint=joint)
+        for name in ("t", "q", "A", "q_spread", "t_spread", "joint"):
+            getattr(self, name)[index] = getattr(part, name)
 
 
 def _smooth_opacity(form: _Form, over: _Spread) -> tuple[Tensor, _Slopes]:
@@ -266,7 +310,7 @@ def _smooth_opacity(form: _Form, over: _Spread) -> tuple[Tensor, _Slopes]:
     A, root_A = form.A, form.A.sqrt()
     x = form.room / over.q
     root, slope = soft_root(x)
-    ramp, share = soft_ramp(x)
+    ramp, share, dense = soft_ramp(x)
     root_q = over.q.sqrt()
     mean = root_q * root / root_A
     mean_by_q = slope / (root_q * root_A)
@@ -299,7 +343,7 @@ def _smooth_opacity(form: _Form, over: _Spread) -> tuple[Tensor, _Slopes]:
         t=by_t,
         q=by_h * mean_by_q + by_variance * (share / A - 2 * mean * mean_by_q),
         A=-(by_h * mean / 2 + by_variance * scatter + by_pull * pull / 2) / A,
-        q_spread=by_h * mean_by_spread + by_variance * (density(x) / A - 2 * mean * mean_by_spread),
+        q_spread=by_h * mean_by_spread + by_variance * (dense / A - 2 * mean * mean_by_spread),
         t_spread=by_variance,
         joint=by_pull * mean_by_q,
     )
@@ -362,23 +406,3 @@ def _gauss_legendre() -> tuple[Tensor, Tensor]:
     """Nodes and weights on 0 to 1."""
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
     return torch.from_numpy((nodes + 1) / 2), torch.from_numpy(weights / 2)
-
-
-def _skew(c: Tensor) -> Tensor:
-    """Give the matrix of c x [3, 3]."""
-    x, y, z = c.unbind()
-    zero = torch.zeros_like(x)
-    return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero]).reshape(3, 3)
-
-
-def _cross(a: Tensor, b: Tensor) -> Tensor:
-    return torch.linalg.cross(a, b)
-
-
-def _mix(share: Tensor, vector: Tensor) -> Tensor:
-    """Scale each vector [M, 3] by its share [M]."""
-    return share[:, None] * vector
-
-
-def _dot(a: Tensor, b: Tensor) -> Tensor:
-    return (a * b).sum(-1)

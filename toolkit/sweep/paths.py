@@ -5,9 +5,8 @@ A path of gravity and drag, or any other law, fits in as a class that says which
 give (`SweepPath`).
 """
 
-import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import torch
@@ -56,6 +55,11 @@ class SweepPath(ABC):
     @abstractmethod
     def size(self) -> int:
         """Number of parameters, K."""
+
+    @property
+    def vectors(self) -> int:
+        """Number of leading parameters that make up vectors in space, three each."""
+        return self.size
 
     @abstractmethod
     def arcs(self, parameters: Tensor) -> Arcs:
@@ -132,8 +136,12 @@ class BouncePath(SweepPath):
     @property
     def size(self) -> int:
         """Three for each end and bounce and the acceleration, one for each instant."""
-        bounces = len(self.instants)
-        return 3 * (bounces + 2) + 3 * self.is_accelerated + bounces
+        return self.vectors + len(self.instants)
+
+    @property
+    def vectors(self) -> int:
+        """All but the instants."""
+        return 3 * (len(self.instants) + 2) + 3 * self.is_accelerated
 
     def arcs(self, parameters: Tensor) -> Arcs:
         """Give the arcs; their derivatives in the instants follow the product rule."""

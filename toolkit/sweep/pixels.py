@@ -1,10 +1,12 @@
 """The pixels about a streak: what was observed there, with its noise, and where each one looks."""
 
+import math
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator
@@ -12,10 +14,12 @@ from toolkit.camera import Camera
 from toolkit.sweep.opacity import PIXEL_VARIANCE, Rays
 from toolkit.view import StreakView
 
-ROOM = 1.3
-"""Half widths about the path within which pixels are looked at, and some px more."""
-MORE_ROOM = 8.0
-"""px."""
+ROOM = 3.0
+"""px beyond the ball's image within which pixels may see it, and what the path is uncertain by."""
+BESIDE = 0.4
+"""Half widths beyond these within which pixels tell of the background's light, and 6 px more."""
+OUTLIER = 3.5
+"""Standard deviations beyond which such a pixel's difference counts linearly."""
 COARSE = 16
 """px between the places whose derivative of the ray is found; between them it is interpolated."""
 NOISELESS = 10**9
@@ -23,32 +27,57 @@ NOISELESS = 10**9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Beside:
+    """What the pixels beside the streak say of gain and offset: a quadratic about (1, 0)."""
+
+    cost: float
+    gradient: Tensor  # [2 Q] half of the cost's
+    information: Tensor  # [2 Q, 2 Q]
+
+    @classmethod
+    def of(cls, signal: Tensor, ground: Tensor, shot: Tensor, empty: Tensor) -> "Beside":
+        """Sum up pixels [Q, N] that the ball never covers; of the backgrounds the likeliest."""
+        residual = signal - ground
+        precision = 1 / (shot + empty)
+        size = residual.abs() * precision.sqrt()
+        weight = precision * (OUTLIER / size.clamp_min(OUTLIER))
+        likeliest = ground + empty * residual * precision
+        of_gain, of_both, of_offset = ((weight * likeliest**power).sum(-1) for power in (2, 1, 0))
+        pull_gain, pull_offset = ((weight * residual * likeliest**n).sum(-1) for n in (1, 0))
+        information = torch.cat(
+            [
+                torch.cat([torch.diag(of_gain), torch.diag(of_both)], dim=1),
+                torch.cat([torch.diag(of_both), torch.diag(of_offset)], dim=1),
+            ]
+        )
+        return cls(
+            cost=float((weight * residual**2).sum()),
+            gradient=-torch.cat([pull_gain, pull_offset]),
+            information=information,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StreakPixels:
-    """N pixels, or squares of them, with Q signal channels."""
+    """N pixels, or squares of them, that the ball may cover, with Q signal channels."""
 
     place: Tensor  # [N, 2] px in the picture
     rays: Rays
-    signal: Tensor  # [N, Q]
-    ground: Tensor  # [N, Q]
-    shot_variance: Tensor  # [N, Q], infinite where nothing was measured
-    ground_variance: Tensor  # [N, Q]
-    area_variance: float = PIXEL_VARIANCE  # px^2, of a place within a pixel or a square
+    signal: Tensor  # [Q, N]
+    ground: Tensor  # [Q, N]
+    shot_variance: Tensor  # [Q, N], infinite where nothing was measured
+    ground_variance: Tensor  # [Q, N]
+    beside: Beside
+    side: int = 1  # px of each square
+
+    @property
+    def area_variance(self) -> float:
+        """Variance of a place within a square along its side, px^2."""
+        return PIXEL_VARIANCE * self.side**2
 
     def __len__(self) -> int:
         """Number of pixels."""
         return len(self.place)
-
-    def __getitem__(self, index: Tensor) -> "StreakPixels":
-        """Give those with some indices."""
-        return replace(
-            self,
-            place=self.place[index],
-            rays=self.rays[index],
-            signal=self.signal[index],
-            ground=self.ground[index],
-            shot_variance=self.shot_variance[index],
-            ground_variance=self.ground_variance[index],
-        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,35 +111,35 @@ class Frame:
             camera=camera,
         )
 
-    def about(self, path_px: Tensor, half_width: float, bin_px: int = 1) -> StreakPixels:
+    def about(
+        self, path_px: Tensor, half_width: float, *, side: int = 1, doubt: float = 0.0
+    ) -> StreakPixels:
         """Take the pixels about a path in the picture.
 
         Args:
             path_px: points of the path [T, 2] px.
             half_width: of the ball's image, px, the largest.
-            bin_px: side of the squares whose pixels are averaged.
+            side: of the squares whose pixels are averaged.
+            doubt: px by which the path and the half width may be off.
         """
         height, width = self.usable.shape
-        rows, columns = height // bin_px, width // bin_px
+        rows, columns = height // side, width // side
         corner = np.array(self.corner, dtype=np.float64)
-        middle = (path_px.numpy() - corner + 0.5) / bin_px - 0.5
-        reach = (ROOM * half_width + MORE_ROOM) / bin_px
-        mask = np.zeros((rows, columns), np.uint8)
-        points = np.round(middle * 8).astype(np.int32)[:, None]
-        thickness = max(1, round(2 * reach))
-        cv2.polylines(mask, [points], False, 1, thickness=thickness, shift=3)
-        y, x = np.nonzero(mask)
-        index = torch.from_numpy(y * columns + x)
+        middle = (path_px.numpy() - corner + 0.5) / side - 0.5
+        reach = (half_width + ROOM + doubt) / side + 1
+        near = _band(middle, reach, rows, columns)
+        ring = _band(middle, reach + (BESIDE * half_width + 6) / side, rows, columns) - near
         usable = self.usable[None]
         maps = (self.signal, self.ground, self.shot_variance, self.ground_variance)
-        if bin_px > 1:
-            maps = _binned(maps, usable, bin_px)
+        if side > 1:
+            maps = _binned(maps, usable, side)
             usable = torch.isfinite(maps[2]).any(0)[None]
-        keep = usable.flatten()[index]
-        index = index[keep]
-        place = torch.stack([index % columns, index // columns], dim=-1).double()
-        place = (place + 0.5) * bin_px - 0.5 + torch.from_numpy(corner)
-        signal, ground, shot, empty = (m.flatten(1)[:, index].mT.double() for m in maps)
+        inside, beside = (
+            torch.from_numpy(np.flatnonzero(mask & usable[0].numpy())) for mask in (near, ring)
+        )
+        place = torch.stack([inside % columns, inside // columns], dim=-1).double()
+        place = (place + 0.5) * side - 0.5 + torch.from_numpy(corner)
+        signal, ground, shot, empty = (m.flatten(1)[:, inside].double() for m in maps)
         return StreakPixels(
             place=place,
             rays=find_rays(self.camera, place),
@@ -118,8 +147,17 @@ class Frame:
             ground=ground,
             shot_variance=shot,
             ground_variance=empty,
-            area_variance=bin_px**2 / 12,
+            beside=Beside.of(*(m.flatten(1)[:, beside].double() for m in maps)),
+            side=side,
         )
+
+
+def _band(middle: NDArray[np.float64], reach: float, rows: int, columns: int) -> NDArray[np.uint8]:
+    """Mark all within reach of a line [T, 2], its places in squares."""
+    mask = np.zeros((rows, columns), np.uint8)
+    points = np.round(middle * 8).astype(np.int32)[:, None]
+    cv2.polylines(mask, [points], False, 1, thickness=max(1, math.ceil(2 * reach)), shift=3)
+    return mask
 
 
 def _binned(maps: tuple[Tensor, ...], usable: Tensor, side: int) -> tuple[Tensor, ...]:
@@ -161,23 +199,23 @@ def find_rays(camera: Camera, place: Tensor) -> Rays:
         for a, b, n in zip(low, high, counts, strict=True)
     )
     grid = torch.stack(torch.meshgrid(x, y, indexing="xy"), dim=-1)
-    coarse = torch.cat([camera.unproject(grid), camera.J_unproject(grid).flatten(-2)], dim=-1)
-    fine = _interpolated(coarse, (place - low) / (high - low))
-    J = fine[:, 3:].unflatten(-1, (3, 2))
-    missing = place - camera.project(fine[:, :3])
-    unit = torch.nn.functional.normalize(fine[:, :3] + (J @ missing[..., None])[..., 0], dim=-1)
-    return Rays(unit=unit, right=J[..., 0].contiguous(), down=J[..., 1].contiguous())
+    rays, J = camera.unproject(grid), camera.J_unproject(grid)
+    fine = _interpolated(torch.cat([rays, J.mT.flatten(-2)], dim=-1), (place - low) / (high - low))
+    unit, right, down = fine.unflatten(0, (3, 3))
+    missing = (place - camera.project(unit.mT)).mT
+    unit = torch.nn.functional.normalize(unit + missing[0] * right + missing[1] * down, dim=0)
+    return Rays(unit=unit, right=right, down=down)
 
 
 def _interpolated(grid: Tensor, share: Tensor) -> Tensor:
-    """Interpolate a grid [Y, X, C] at places [N, 2] from 0 to 1, bilinearly."""
-    rows, columns = grid.shape[:2]
-    at = share * torch.tensor([columns - 1, rows - 1], dtype=share.dtype)
-    cell = at.long()
-    cell[:, 0].clamp_(max=columns - 2)
-    cell[:, 1].clamp_(max=rows - 2)
-    (x, y), first = (at - cell)[:, :, None].unbind(1), cell[:, 1] * columns + cell[:, 0]
-    flat = grid.flatten(0, 1)
-    top = flat[first] + x * (flat[first + 1] - flat[first])
-    bottom = flat[first + columns] + x * (flat[first + columns + 1] - flat[first + columns])
-    return top + y * (bottom - top)
+    """Interpolate a grid [Y, X, C] at places [N, 2] from 0 to 1, bilinearly: [C, N]."""
+    rows, columns, channels = grid.shape
+    at = share.mT * torch.tensor([[columns - 1.0], [rows - 1.0]], dtype=share.dtype)
+    left = at[0].long().clamp_max(columns - 2)
+    top = at[1].long().clamp_max(rows - 2)
+    x, y = at[0] - left, at[1] - top
+    flat = grid.reshape(-1, channels).mT.contiguous()
+    first = top * columns + left
+    upper = torch.lerp(flat[:, first], flat[:, first + 1], x)
+    lower = torch.lerp(flat[:, first + columns], flat[:, first + columns + 1], x)
+    return torch.lerp(upper, lower, y)

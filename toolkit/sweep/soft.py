@@ -6,33 +6,42 @@ from functools import cache
 import torch
 from torch import Tensor
 
-LOW, HIGH, STEP = -6.0, 14.0, 0.02
-"""Where the smoothed root is tabulated: below it is 0, above two terms of its series suffice."""
+LOW, HIGH, STEP = -6.0, 6.0, 0.01
+"""Where the smoothed root is tabulated: below it is 0, above three terms of its series suffice."""
 NODES = 256
 """Of the integral that fills the table."""
 
 
 def soft_root(x: Tensor) -> tuple[Tensor, Tensor]:
     """Give the mean of sqrt(max(x + z, 0)) over z ~ N(0, 1), and its derivative in x."""
-    table = _table().to(x)
-    place = (x.clamp(LOW, HIGH) - LOW) / STEP
-    cell = place.detach().long().clamp_max(table.shape[-1] - 2)
-    share = place - cell
-    near = table[:, cell]
-    root, slope = near + share * (table[:, cell + 1] - near)
-    is_high = x > HIGH
-    if bool(is_high.any()):
-        far = x.clamp_min(HIGH)
-        plain = far.sqrt()
-        root = torch.where(is_high, plain - 1 / (8 * far * plain), root)
-        slope = torch.where(is_high, 1 / (2 * plain) + 3 / (16 * far * far * plain), slope)
+    far = x.clamp_min(HIGH)
+    plain, inverse = far.sqrt(), 1 / (far * far)
+    root = plain * (1 - inverse * (1 / 8 + inverse * (15 / 128)))
+    slope = (0.5 + inverse * (3 / 16 + inverse * (105 / 256))) / plain
+    near = (x < HIGH).nonzero()[:, 0]
+    if len(near):
+        root[near], slope[near] = _looked_up(x[near])
     return root, slope
 
 
-def soft_ramp(x: Tensor) -> tuple[Tensor, Tensor]:
-    """Give the mean of max(x + z, 0) over z ~ N(0, 1), and its derivative in x."""
-    share = torch.special.ndtr(x)
-    return x * share + density(x), share
+def _looked_up(x: Tensor) -> Tensor:
+    table = _table().to(x)
+    place = ((x - LOW) / STEP).clamp(0, table.shape[-1] - 1.001)
+    cell = place.long()
+    near = table[:, cell]
+    return near + (place - cell) * (table[:, cell + 1] - near)
+
+
+def soft_ramp(x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Give the mean of max(x + z, 0) over z ~ N(0, 1), and its two derivatives in x."""
+    ramp, share, dense = x.clone(), torch.ones_like(x), torch.zeros_like(x)
+    near = (x < HIGH).nonzero()[:, 0]
+    if len(near):
+        there = x[near]
+        share_near, dense_near = torch.special.ndtr(there), density(there)
+        share[near], dense[near] = share_near, dense_near
+        ramp[near] = there * share_near + dense_near
+    return ramp, share, dense
 
 
 def density(x: Tensor) -> Tensor:

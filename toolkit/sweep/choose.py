@@ -1,0 +1,146 @@
+"""Which path the streak asks for: straight, parabola, spline or bounce, each by its evidence."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from toolkit.sweep.fit import SweepFit, fit_sweep, outline
+from toolkit.sweep.misfit import excess_of
+from toolkit.sweep.model import SweepModel, compare
+from toolkit.sweep.paths import PARABOLA, STRAIGHT, BouncePath, SplinePath, SweepPath
+from toolkit.sweep.pixels import Frame
+
+EVIDENCE = 4.0
+"""Chi-square that each further number must gain: three are added by chance once in a hundred."""
+CLOSE = 0.15
+"""Ball radii to which a path must follow the start, lest the search begin too far away."""
+PIECES = (2, 3, 4, 6, 8, 12)
+"""Of the splines tried."""
+SAMPLES = 65
+FINE, COARSE = 12.0, 7.0
+"""Squares to the half width: where the path is chosen, and where a rough start is bettered."""
+LARGEST_SQUARE = 6
+"""px, where the path is chosen."""
+DOUBT = 0.3
+"""Half widths by which a rough start may be off."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Start:
+    """Where the search begins."""
+
+    path: Tensor  # [T, 3] m, from start to end of the exposure
+    appearance: Tensor | None  # [A] of the estimator's unknowns
+    span: tuple[float, float] = (-0.5, 0.5)  # times of the first and last point, exposures
+    blur: float = 0.8  # px, of lens and pixel
+    corner: float | None = None  # instant of a bounce
+    is_close: bool = False  # to a px
+
+    @property
+    def time(self) -> Tensor:
+        """When the ball was at each point [T], exposures from the middle."""
+        return torch.linspace(*self.span, len(self.path), dtype=torch.float64)
+
+
+def most_likely_motion(frame: Frame, model: SweepModel, start: Start) -> SweepFit:
+    """Fit the simplest path that the start allows, and further ones while the picture asks.
+
+    The path is chosen on squares of pixels, where that takes little time; the last fit compares
+    every pixel.
+
+    Args:
+        frame: the window about the streak.
+        model: its path is chosen here.
+        start: of the search.
+    """
+    path = _first_path(start, model.ball_radius)
+    model = replace(model, path=path)
+    x = _first_parameters(model, start)
+    _, half_width = outline(model, x)
+    fine = max(1, min(LARGEST_SQUARE, int(half_width / FINE)))
+    sides = [fine] if start.is_close else _descending(int(half_width / COARSE), fine)
+    for side in sides:
+        doubt = DOUBT * half_width if side > fine else 2.0 * fine
+        fit = fit_sweep(model, x, frame, side=side, doubt=doubt)
+        x = fit.parameters
+    while (richer := _asked_for(fit)) is not None:
+        trial = fit_sweep(richer[0], richer[1], frame, side=fine, doubt=2.0 * fine)
+        if _gain(fit, trial) < EVIDENCE * (trial.model.path.size - fit.model.path.size):
+            break
+        fit = trial
+    if fine > 1:
+        fit = fit_sweep(fit.model, fit.parameters, frame, doubt=1.0)
+    return fit
+
+
+def _descending(first: int, last: int) -> list[int]:
+    """Give sides of squares, each about half of the one before."""
+    sides = [max(first, last)]
+    while sides[-1] > last:
+        sides.append(max(sides[-1] // 2, last))
+    return sides
+
+
+def _first_parameters(model: SweepModel, start: Start) -> Tensor:
+    shape = model.path.through(start.time, start.path)
+    spread = torch.tensor([max(start.blur, 0.3) ** 2], dtype=torch.float64)
+    looks = shape.new_zeros(0)
+    if model.unknowns and start.appearance is not None:
+        looks = start.appearance.double()
+    neutral = torch.cat([torch.ones(model.channels), torch.zeros(model.channels)]).double()
+    return torch.cat([shape, spread, looks, neutral])
+
+
+def _first_path(start: Start, ball_radius: float) -> SweepPath:
+    """Take the simplest path that follows the start."""
+    if start.corner is not None:
+        return BouncePath((start.corner,), is_accelerated=False)
+    paths: list[SweepPath] = [STRAIGHT, PARABOLA, *(SplinePath(2, n) for n in PIECES)]
+    for path in paths:
+        shape = path.through(start.time, start.path)
+        gap = path.arcs(shape).at(start.time)[0] - start.path
+        if float(torch.linalg.vector_norm(gap, dim=-1).max()) < CLOSE * ball_radius:
+            return path
+    return paths[-1]
+
+
+def _asked_for(fit: SweepFit) -> tuple[SweepModel, Tensor] | None:
+    """Find the richer path that a single step towards it promises most of, if any is worth it."""
+    best, promised = None, 0.0
+    for path in _richer(fit.model.path):
+        model = replace(fit.model, path=path)
+        x = _carried(fit, path)
+        seen = compare(model, x, fit.pixels)
+        step = torch.linalg.lstsq(seen.information, -seen.gradient[:, None], driver="gelsd")
+        gain = float(-seen.gradient @ step.solution[:, 0]) / excess_of(fit.seen)
+        gain -= EVIDENCE * (path.size - fit.model.path.size)
+        if gain > promised:
+            best, promised = (model, x), gain
+    return best
+
+
+def _richer(path: SweepPath) -> list[SweepPath]:
+    if isinstance(path, BouncePath):
+        return [] if path.is_accelerated else [replace(path, is_accelerated=True)]
+    if path == STRAIGHT:
+        return [PARABOLA]
+    pieces = path.pieces if isinstance(path, SplinePath) else PIECES[-1]
+    return [SplinePath(2, n) for n in PIECES if pieces < n][:2]
+
+
+def _carried(fit: SweepFit, path: SweepPath) -> Tensor:
+    """Give the parameters of another path that follows the one fitted."""
+    old = fit.model.path
+    time = torch.linspace(-0.5, 0.5, SAMPLES, dtype=torch.float64)
+    shape = fit.parameters[: old.size]
+    if isinstance(path, BouncePath):
+        path = replace(path, instants=tuple(old.arcs(shape).joints.tolist()))
+    points = old.arcs(shape).at(time)[0]
+    return torch.cat([path.through(time, points), fit.parameters[old.size :]])
+
+
+def _gain(fit: SweepFit, trial: SweepFit) -> float:
+    """Chi-square that another fit saves on the same pixels, in units of the misfit that stays."""
+    other = compare(fit.model, fit.parameters, trial.pixels)
+    return (other.cost - trial.seen.cost) / excess_of(trial.seen)

@@ -1,0 +1,168 @@
+"""Turning the most likely motion into a `Measurement`."""
+
+import math
+from dataclasses import dataclass, replace
+
+from torch import Tensor
+
+from toolkit.measurement import (
+    Bound,
+    Budget,
+    Caution,
+    ContourPoints,
+    FitSummary,
+    Measurement,
+    ProfileTable,
+    ResidualMap,
+    Sign,
+    numbers,
+)
+from toolkit.motion import DEPTH, SPEED
+from toolkit.result import (
+    Check,
+    due,
+    light_check,
+    open_sign,
+    path_samples,
+    shares,
+    unit_vector,
+    with_speed,
+)
+from toolkit.sweep.doubt import motion_of
+from toolkit.sweep.fit import SweepFit
+from toolkit.sweep.misfit import Misfit
+from toolkit.sweep.opacity import PIXEL_VARIANCE
+from toolkit.sweep.outline import draw_outline
+from toolkit.uncertainty import Uncertainty
+
+WARNED_MISFIT = 1.5
+"""Chi-square per degree of freedom beyond which a warning is due."""
+EDGE_SPREAD = 0.05
+"""px^2 of spread below which lens and pixel together cannot lie."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SweepResult:
+    """The most likely motion with all that is known about it."""
+
+    fit: SweepFit
+    misfit: Misfit
+    uncertainty: Uncertainty
+    sign: Sign | None = None  # where the readout tells something about it
+    still_below: float | None = None  # m per exposure: the ball may have stood still, 95 %
+    state_time: float | None = None  # s from the start of the first row's exposure
+
+
+def describe_sweep(
+    found: SweepResult,
+    *,
+    exposure: float | None,
+    drift: Tensor,
+    profiles: ProfileTable | None,
+) -> Measurement:
+    """Report the most likely motion.
+
+    Args:
+        found: the fit, what it misses, and how sure it is.
+        exposure: s, or None.
+        drift: change of the light since the background [3].
+        profiles: of the stage before, where there was one.
+    """
+    fit, uncertainty = found.fit, found.uncertainty
+    motion = motion_of(fit)
+    std = uncertainty.total.diagonal().clamp_min(0).sqrt()
+    outline = draw_outline(
+        motion.path, motion.path_displacement, fit.model.camera, fit.model.ball_radius
+    )
+    is_still = found.still_below is not None
+    measurement = Measurement(
+        stage="sweep",
+        position_m=numbers(motion.position),
+        position_std_m=numbers(std[:3]),
+        direction=None if is_still else numbers(unit_vector(motion.displacement)),
+        sign=None if is_still else found.sign or open_sign(motion, exposure),
+        trajectory=path_samples(motion, std, exposure),
+        contours=ContourPoints(left=numbers(outline[0]), right=numbers(outline[1])),
+        profiles=profiles,
+        budget=Budget(
+            speed=None if exposure is None or is_still else shares(uncertainty, SPEED),
+            depth=shares(uncertainty, DEPTH),
+        ),
+        bound=_bound(found, exposure),
+        fit=_summary(found),
+        warnings=_cautions(found, exposure, drift),
+    )
+    if exposure is None:
+        return measurement
+    measurement = with_speed(measurement, motion, uncertainty, exposure)
+    if found.state_time is not None:
+        measurement = replace(measurement, time_s=found.state_time)
+    if found.still_below is None:
+        return measurement
+    return replace(
+        measurement,
+        speed_upper_m_s=found.still_below / exposure,
+        speed_std_m_s=None,
+        state_covariance=None,
+    )
+
+
+def _bound(found: SweepResult, exposure: float | None) -> Bound:
+    """Give what no unbiased estimator could beat, and the share of it that was reached."""
+    variance = found.uncertainty.noise.diagonal() / found.misfit.factor
+    total = found.uncertainty.total.diagonal()
+    is_known = exposure is not None and found.still_below is None
+    return Bound(
+        position_std_m=numbers(variance[:3].clamp_min(0).sqrt()),
+        speed_std_m_s=math.sqrt(float(variance[SPEED])) / exposure
+        if exposure and is_known
+        else None,
+        efficiency=float((variance[DEPTH] / total[DEPTH]).clamp(0, 1)),
+    )
+
+
+def _summary(found: SweepResult) -> FitSummary:
+    fit, misfit = found.fit, found.misfit
+    _, spread, appearance, _, _ = fit.model.split(fit.parameters)
+    return FitSummary(
+        chi2_per_dof=misfit.pixels,
+        pixels=int((fit.seen.residual != 0).sum()),
+        iterations=fit.iterations,
+        appearance=numbers(appearance) if len(appearance) else None,
+        blur_px=math.sqrt(max(float(spread) - PIXEL_VARIANCE, 0.0)),
+        residuals=ResidualMap(
+            place_px=numbers(misfit.patch_place), sigma=numbers(misfit.patch_sigma)
+        ),
+    )
+
+
+def _cautions(found: SweepResult, exposure: float | None, drift: Tensor) -> tuple[Caution, ...]:
+    misfit = found.misfit
+    checks: list[Check] = [
+        (
+            exposure is None,
+            "exposure-unknown",
+            "no exposure time is known, so the speed is not either; give --exposure",
+        ),
+        (
+            found.uncertainty.camera is None,
+            "camera-uncertainty-unknown",
+            "the camera file holds no covariance; the stated uncertainties leave the camera out",
+        ),
+        (
+            found.still_below is not None,
+            "may-stand-still",
+            "the streak is no longer than a ball at rest may leave, so that only an upper limit of "
+            "its speed is stated",
+        ),
+        (
+            misfit.significant or misfit.pixels > WARNED_MISFIT,
+            "streak-misfit",
+            "the streak differs from that of such a ball by more than noise: "
+            f"{misfit.pixels:.2f} times its variance in single pixels, {misfit.patches:.1f} in "
+            f"patches, {misfit.lanes:.1f} along the whole streak (shading, a pattern, a changed "
+            "background, a wrong colour or response, compression); the uncertainties are widened",
+        ),
+        light_check(drift),
+    ]
+    return due(checks)

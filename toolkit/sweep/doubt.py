@@ -1,0 +1,139 @@
+"""What the answer inherits from noise, camera, radius, exposure and response, each kept apart."""
+
+import torch
+from torch import Tensor
+
+from toolkit.camera import Camera
+from toolkit.motion import PATH_POINTS, SPEED, Motion
+from toolkit.sweep.fit import SweepFit
+from toolkit.sweep.misfit import Misfit
+from toolkit.uncertainty import Uncertainty
+
+CAMERA_STEP = 1e-3
+"""Standard deviations by which camera parameters are moved to see what follows."""
+
+
+def motion_of(fit: SweepFit) -> Motion:
+    """Give the state at mid-exposure and the path, lengths per exposure."""
+    time = torch.linspace(-0.5, 0.5, PATH_POINTS, dtype=torch.float64)
+    arcs = fit.model.path.arcs(fit.parameters[: fit.model.path.size])
+    path, displacement = arcs.at(time)
+    middle = PATH_POINTS // 2
+    return Motion(
+        position=path[middle],
+        displacement=displacement[middle],
+        path=path,
+        path_displacement=displacement,
+        duration=torch.ones((), dtype=torch.float64),
+    )
+
+
+def J_state(fit: SweepFit) -> Tensor:
+    """Give the derivative of `Motion.state` in the path's parameters [8 + 3 N, K]."""
+    time = torch.linspace(-0.5, 0.5, PATH_POINTS, dtype=torch.float64)
+    arcs = fit.model.path.arcs(fit.parameters[: fit.model.path.size])
+    J_path, J_displacement = arcs.J_at(time)
+    middle = PATH_POINTS // 2
+    _, displacement = arcs.at(time[middle : middle + 1])
+    ahead = torch.nn.functional.normalize(displacement, dim=-1)
+    speed = ahead @ J_displacement[middle]
+    duration = torch.zeros_like(speed)
+    return torch.cat(
+        [J_path[middle], J_displacement[middle], speed, duration, J_path.flatten(0, 1)]
+    )
+
+
+def sweep_uncertainty(
+    fit: SweepFit,
+    misfit: Misfit,
+    *,
+    ball_radius_std: float,
+    exposure_std_share: float,
+    response_change: Tensor | None,
+) -> Uncertainty:
+    """Propagate every source to the state.
+
+    All lengths scale with the ball radius, and speeds with 1 / exposure, exactly. What camera and
+    response change is found to first order, by the fit's own equations.
+
+    Args:
+        fit: the most likely motion.
+        misfit: widens what comes from noise.
+        ball_radius_std: m.
+        exposure_std_share: standard deviation of the exposure over itself.
+        response_change: of signal less ground behind alpha [Q, N], for one standard deviation of
+            the response; None where it is known.
+    """
+    k, J = fit.model.path.size, J_state(fit)
+    state = motion_of(fit).state()
+    lengths = torch.ones_like(state)
+    lengths[SPEED + 1] = 0
+    speeds = torch.zeros_like(state)
+    speeds[3 : SPEED + 1] = 1
+    by_radius = state * lengths * (ball_radius_std / fit.model.ball_radius)
+    by_exposure = state * speeds * exposure_std_share
+    by_response = torch.zeros_like(state)
+    if response_change is not None:
+        by_response = J @ _answer_to_response(fit, response_change)[:k]
+    nothing = torch.zeros(len(state), len(state), dtype=state.dtype)
+    return Uncertainty(
+        noise=J @ fit.path_covariance @ J.mT * misfit.factor,
+        order=nothing,
+        camera=_camera_covariance(fit, J),
+        radius=torch.outer(by_radius, by_radius),
+        exposure=torch.outer(by_exposure, by_exposure),
+        brightness=torch.outer(by_response, by_response),
+    )
+
+
+def _answer_to_response(fit: SweepFit, change: Tensor) -> Tensor:
+    rest = 1 - fit.seen.coverage.alpha
+    variance = fit.pixels.shot_variance + rest**2 * fit.pixels.ground_variance
+    return fit.seen.answer(change / variance.sqrt())
+
+
+def _camera_covariance(fit: SweepFit, J: Tensor) -> Tensor | None:
+    camera = fit.model.camera
+    if camera.covariance is None:
+        return None
+    nothing = torch.zeros(len(J), len(J), dtype=torch.float64)
+    if not bool(camera.covariance.any()):
+        return nothing
+    k = fit.model.path.size
+    slope = opacity_slope(fit)
+    rays = fit.pixels.rays.unit.mT
+    variances, axes = torch.linalg.eigh(camera.covariance)
+    columns = []
+    for variance, axis in zip(variances.clamp_min(0), axes.mT, strict=True):
+        moved = _moved_pixels(camera, rays, axis * variance.sqrt())
+        # what is seen stays where it is while the model moves
+        alpha = (slope * moved.mT).sum(0)
+        columns.append(J @ fit.seen.answer(alpha * fit.seen.contrast)[:k])
+    change = torch.stack(columns, dim=-1)
+    return change @ change.mT
+
+
+def _moved_pixels(camera: Camera, rays: Tensor, shift: Tensor) -> Tensor:
+    """Give by how many px the images of rays move for a shift of the camera's parameters [M, 2]."""
+    ahead, back = (
+        camera.with_parameters(camera.parameters + sign * CAMERA_STEP * shift)
+        for sign in (1.0, -1.0)
+    )
+    return (ahead.project(rays) - back.project(rays)) / (2 * CAMERA_STEP)
+
+
+def opacity_slope(fit: SweepFit) -> Tensor:
+    """Give the change of the opacity from pixel to pixel, to the right and downwards [2, M].
+
+    To see another ray is to see a path turned the other way: the derivative in the path tells it.
+    """
+    model, covered = fit.model, fit.seen.coverage
+    vectors = model.path.vectors
+    points = fit.parameters[:vectors].reshape(-1, 3)
+    J = covered.J[:vectors].unflatten(0, (-1, 3))
+    turn = -torch.linalg.cross(points[..., None].expand_as(J), J, dim=1).sum(0)
+    rays = fit.pixels.rays
+    sides = (rays.right, rays.down)
+    return torch.stack(
+        [(torch.linalg.cross(rays.unit, side, dim=0) * turn).sum(0) for side in sides]
+    )

@@ -1,0 +1,102 @@
+"""What the most likely motion leaves unexplained, looked at in patches where noise averages out.
+
+Noise leaves each patch, averaged with the weights of the opacity, a misfit of one standard
+deviation. More of it tells of correlated noise, as in compressed pictures, or of a model that does
+not hold: a pattern on the ball, a changed background, a wrong response.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from toolkit.sweep.fit import SweepFit
+from toolkit.sweep.model import Comparison
+
+PATCH = 8
+"""px along the side of a patch: that of a block of JPEG."""
+LANES = 24
+"""Across the streak, over its whole length: what all of it misses alike."""
+CHANCE = 3.5
+"""Standard deviations by which a mean square may exceed 1 by chance."""
+COVERED = 1e-4
+"""Opacity from which a pixel counts as covered."""
+FEWEST = 6
+"""Patches from which there is something to be said."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Misfit:
+    """Mean squares of the misfit, 1 where there is only noise."""
+
+    pixels: float  # of single pixels
+    patches: float
+    lanes: float
+    patch_place: Tensor  # [B, 2] px
+    patch_sigma: Tensor  # [B] misfit of the opacity's mean, standard deviations
+    factor: float  # by which the covariance is to be widened
+    significant: bool  # beyond chance
+
+
+def excess_of(seen: Comparison) -> float:
+    """Give the mean squared misfit of single pixels before the ball, at least 1."""
+    is_used = (seen.coverage.alpha > COVERED) & (seen.residual != 0)
+    used = int(is_used.sum())
+    return max(1.0, float((seen.residual**2 * is_used).sum()) / max(used, 1))
+
+
+def look_for_misfit(fit: SweepFit) -> Misfit:
+    """Compare what is left in patches and lanes with what noise would leave."""
+    seen, pixels = fit.seen, fit.pixels
+    index = (seen.coverage.alpha > COVERED).nonzero()[:, 0]
+    score, sure = seen.pull[index], seen.hold[index]
+    place, passage = pixels.place[index], seen.coverage.passage
+    cell = (place / PATCH).floor().long()
+    cell = cell - cell.amin(0)
+    number = cell[:, 1] * (int(cell[:, 0].max()) + 1) + cell[:, 0]
+    sigma, used, inverse = _patch_sigmas(number, score, sure)
+    offset = (1 - passage.room[index] / fit.model.ball_radius**2).clamp(0, 1.2).sqrt()
+    offset = offset * passage.side[index]
+    lane = ((offset + 1.1) / 2.2 * LANES).long().clamp(0, LANES - 1)
+    lanes, _, _ = _patch_sigmas(lane, score, sure)
+    patches = _mean_square(sigma)
+    by_lane = _mean_square(lanes)
+    single = excess_of(seen)
+    is_patchy = patches > 1 + CHANCE * math.sqrt(2 / max(len(sigma), 1))
+    is_laned = by_lane > 1 + CHANCE * math.sqrt(2 / max(len(lanes), 1))
+    factor = single
+    if is_patchy:
+        factor = max(factor, patches)
+    if is_laned:
+        factor = max(factor, by_lane)
+    counts = torch.bincount(inverse, minlength=len(sigma)).double().clamp_min(1)
+    middle = torch.stack(
+        [torch.bincount(inverse, weights=p, minlength=len(sigma)) / counts for p in place[used].mT],
+        dim=-1,
+    )
+    return Misfit(
+        pixels=single,
+        patches=patches,
+        lanes=by_lane,
+        patch_place=middle,
+        patch_sigma=sigma,
+        factor=factor,
+        significant=is_patchy or is_laned,
+    )
+
+
+def _patch_sigmas(number: Tensor, score: Tensor, sure: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Give the misfit of each patch, which pixels were used, and the patch of each of these."""
+    total = torch.bincount(number, weights=sure)
+    enough = total > 0.2 * total.mean()
+    used = enough[number]
+    labels = (enough.long().cumsum(0) - 1)[number[used]]
+    size = int(enough.sum())
+    pull = torch.bincount(labels, weights=score[used], minlength=size)
+    hold = torch.bincount(labels, weights=sure[used], minlength=size)
+    return pull / hold.clamp_min(1e-300).sqrt(), used, labels
+
+
+def _mean_square(sigma: Tensor) -> float:
+    return float((sigma * sigma).mean()) if len(sigma) >= FEWEST else 1.0
