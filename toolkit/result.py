@@ -140,10 +140,12 @@ def path_samples(motion: Motion, std: Tensor, exposure: float | None) -> PathSam
 
 
 def contour_points(contours: Contours) -> ContourPoints:
+    """Put both contours into the result."""
     return ContourPoints(left=numbers(contours.points[0]), right=numbers(contours.points[1]))
 
 
 def profile_table(fit: ProfileFit) -> ProfileTable:
+    """Put all profiles into the result."""
     return ProfileTable(
         centre_px=numbers(fit.middle[0]),
         half_width_px=numbers(fit.half_width[0]),
@@ -163,6 +165,7 @@ def _summary(fit: ProfileFit) -> FitSummary:
 
 
 def unit_vector(vector: Tensor) -> Tensor:
+    """Give the vector [3] at length 1."""
     length: Tensor = torch.linalg.vector_norm(vector)
     return vector / length
 
@@ -253,6 +256,7 @@ def _profile_checks(fit: ProfileFit) -> list[Check]:
 
 
 def light_check(drift: Tensor) -> Check:
+    """Say whether the background had to follow a change of the light."""
     change = float((drift - 1).abs().max())
     return (
         change > 0,
@@ -263,4 +267,5 @@ def light_check(drift: Tensor) -> Check:
 
 
 def due(checks: Iterable[Check]) -> tuple[Caution, ...]:
+    """Keep the cautions that are due."""
     return tuple(Caution(code=code, message=message) for is_due, code, message in checks if is_due)

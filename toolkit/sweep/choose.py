@@ -126,7 +126,8 @@ def _richer(path: SweepPath) -> list[SweepPath]:
     if path == STRAIGHT:
         return [PARABOLA]
     pieces = path.pieces if isinstance(path, SplinePath) else PIECES[-1]
-    return [SplinePath(2, n) for n in PIECES if pieces < n][:2]
+    finer: list[SweepPath] = [SplinePath(2, n) for n in PIECES if pieces < n]
+    return finer[:2]
 
 
 def _carried(fit: SweepFit, path: SweepPath) -> Tensor:

@@ -118,7 +118,7 @@ def _gathered(rows: list[tuple[Tensor, BallColours]], count: int) -> BallColours
 
 def _stretches(time: Tensor, arcs: Arcs, camera: Camera, ball_radius: float) -> tuple[Tensor, int]:
     """Number the stretches of the path, each so short that all on it look alike."""
-    centre, velocity = arcs.at(torch.linspace(-0.5, 0.5, 9, dtype=torch.float64))
+    _, velocity = arcs.at(torch.linspace(-0.5, 0.5, 9, dtype=torch.float64))
     travel = float(torch.linalg.vector_norm(velocity, dim=-1).mean()) / (2 * ball_radius)
     count = max(1, min(MOST_STRETCHES, math.ceil(travel / STRETCH)))
     return ((time + 0.5) * count).long().clamp(0, count - 1), count

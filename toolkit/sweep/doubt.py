@@ -130,7 +130,7 @@ def opacity_slope(fit: SweepFit) -> Tensor:
     model, covered = fit.model, fit.seen.coverage
     vectors = model.path.vectors
     points = fit.parameters[:vectors].reshape(-1, 3)
-    J = covered.J[:vectors].unflatten(0, (-1, 3))
+    J = covered.J[:vectors].reshape(len(points), 3, -1)
     turn = -torch.linalg.cross(points[..., None].expand_as(J), J, dim=1).sum(0)
     rays = fit.pixels.rays
     sides = (rays.right, rays.down)

@@ -1,4 +1,4 @@
-"""The most likely motion: all pixels of the streak at once, from coarse squares to single pixels."""
+"""The most likely motion: all pixels of the streak at once, coarse squares of them first."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from toolkit.sweep.pixels import Frame, StreakPixels
 
 MAX_STEPS = 40
 SETTLED = 2e-3
-"""Chi-square that a further step may promise: a twentieth of a standard deviation of all at once."""
+"""Chi-square that a further step may promise: a twentieth of a standard deviation, squared."""
 ROUGHLY = 0.05
 """The same on coarse squares."""
 FIRST_DAMPING = 1e-4
@@ -77,12 +77,13 @@ def search(
 ) -> SweepFit:
     """Search by damped Gauss-Newton steps until one promises hardly any gain."""
     x, seen, damping = start, compare(model, start, pixels), FIRST_DAMPING
-    converged, iteration = False, 0
-    for iteration in range(MAX_STEPS):
+    converged, iterations = False, 0
+    while iterations < MAX_STEPS:
         step, gain = _step(seen, damping)
         if gain < tolerance:
             converged = True
             break
+        iterations += 1
         candidate = _within_bounds(model, x + step)
         trial = compare(model, candidate, pixels)
         if trial.cost <= seen.cost:
@@ -95,7 +96,7 @@ def search(
         pixels=pixels,
         seen=seen,
         converged=converged,
-        iterations=iteration,
+        iterations=iterations,
     )
 
 

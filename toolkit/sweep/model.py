@@ -1,9 +1,9 @@
 """What every pixel shows while the ball passes, and the equations of the most likely motion.
 
 A pixel shows g B + o + alpha (F - g B - o): the background B in a light that may have changed by a
-gain g and an offset o in each channel, behind the ball F for the share alpha of the exposure. Only a
-noisy picture G of the background is known. Of all backgrounds the likeliest given both pictures is
-taken for each pixel, which makes the cost the squared residual over v_shot + (1 - alpha)^2 g^2
+gain g and an offset o in each channel, behind the ball F for the share alpha of the exposure. Only
+a noisy picture G of the background is known. Of all backgrounds the likeliest given both pictures
+is taken for each pixel, which makes the cost the squared residual over v_shot + (1 - alpha)^2 g^2
 v_background; its exact gradient is that of B held there. [derived]
 """
 

@@ -326,7 +326,7 @@ def _smooth_opacity(form: _Form, over: _Spread) -> tuple[Tensor, _Slopes]:
     scatter, pull = square - mean**2, over.joint * mean_by_q
     if len(cut):
         both = over.t[cut] + scatter[cut].clamp_min(0)
-        total, rise, fall, widening, leaning = 0.0, 0.0, 0.0, 0.0, 0.0
+        total, rise, fall, widening, leaning = torch.zeros(5, len(cut)).to(h).unbind()
         for sign in (1.0, -1.0):
             width = (both + 2 * sign * pull[cut]).clamp_min(1e-24).sqrt()
             length, passed, by_width = _ramps(

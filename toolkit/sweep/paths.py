@@ -31,7 +31,7 @@ class Arcs:
     def J_at(self, time: Tensor) -> tuple[Tensor, Tensor]:
         """Give the derivatives of both in the path's parameters [T, 3, K]."""
         place = torch.searchsorted(self.joints, time)
-        J0, J1, J2 = self.J[place].unflatten(1, (3, 3)).unbind(1)
+        J0, J1, J2 = self.J[place].reshape(len(time), 3, 3, -1).unbind(1)
         t = time[:, None, None]
         return J0 + t * (J1 + t * J2), J1 + 2 * t * J2
 

@@ -130,6 +130,7 @@ class Frame:
         near = _band(middle, reach, rows, columns)
         ring = _band(middle, reach + (BESIDE * half_width + 6) / side, rows, columns) - near
         usable = self.usable[None]
+        maps: tuple[Tensor, ...]
         maps = (self.signal, self.ground, self.shot_variance, self.ground_variance)
         if side > 1:
             maps = _binned(maps, usable, side)
@@ -201,7 +202,7 @@ def find_rays(camera: Camera, place: Tensor) -> Rays:
     grid = torch.stack(torch.meshgrid(x, y, indexing="xy"), dim=-1)
     rays, J = camera.unproject(grid), camera.J_unproject(grid)
     fine = _interpolated(torch.cat([rays, J.mT.flatten(-2)], dim=-1), (place - low) / (high - low))
-    unit, right, down = fine.unflatten(0, (3, 3))
+    unit, right, down = fine.reshape(3, 3, -1)
     missing = (place - camera.project(unit.mT)).mT
     unit = torch.nn.functional.normalize(unit + missing[0] * right + missing[1] * down, dim=0)
     return Rays(unit=unit, right=right, down=down)
