@@ -24,7 +24,7 @@ from toolkit.shot_checks import Roi, check_numbers, check_readout, check_roi, ch
 from toolkit.types import LinearImage
 
 DEFAULT_ESTIMATOR = "uniform"
-DEFAULT_STAGE = "contours"
+DEFAULT_STAGE = "sweep"
 RIG_NAME, CAMERA_NAME = "rig.toml", "camera.toml"
 
 

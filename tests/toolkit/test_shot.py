@@ -1,5 +1,6 @@
 import hashlib
 from dataclasses import replace
+from inspect import signature
 from pathlib import Path
 
 import cv2
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 
 import toolkit.shot
-from toolkit import ConfigError, ImageError, MismatchError, PluginError, StreakError
+from toolkit import ConfigError, ImageError, MismatchError, PluginError, StreakError, measure
 from toolkit.imaging import write_png16
 from toolkit.measurement import Caution, Measurement
 from toolkit.shot import load_shot, measure_shot, refuse_shot
@@ -173,7 +174,8 @@ def test_stage_and_readout_reach_the_measurement(folder, monkeypatch):
     measure_shot(load(folder, stage="profiles", readout=0.02))
     assert (seen["stage"], seen["readout"]) == ("profiles", 0.02)
     measure_shot(load(folder))
-    assert (seen["stage"], seen["readout"]) == (toolkit.shot.DEFAULT_STAGE, 0.0)
+    defaults = signature(measure).parameters
+    assert all(seen[name] == defaults[name].default for name in ("stage", "readout"))
 
 
 def stand_in(**wanted: object) -> Measurement:
