@@ -108,11 +108,11 @@ class Budget:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bound:
-    """The Cramer-Rao bound for this picture, and the share of it that was reached (1 is best)."""
+    """The Cramer-Rao bound: what the noise of this picture leaves open, however it is measured."""
 
     position_std_m: Vector
     speed_std_m_s: float | None
-    efficiency: float | None
+    efficiency: float | None  # the bound's variance of the depth over that reported; 1 is best
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -120,7 +120,8 @@ def _fit(measurement: Measurement) -> str:
     fit = measurement.fit
     if fit is None:
         return ""
-    return f"chi2 per degree of freedom {fit.chi2_per_dof:.2f} over {fit.pixels} samples"
+    blur = "" if fit.blur_px is None else f", lens blur {fit.blur_px:.2f} px"
+    return f"chi2 per degree of freedom {fit.chi2_per_dof:.2f} over {fit.pixels} samples{blur}"
 
 
 def _bound(bound: Bound | None) -> str:

@@ -89,7 +89,9 @@ def test_bound_is_beside_what_was_reached():
 def test_fit_and_time_are_said():
     fit = FitSummary(chi2_per_dof=1.034, pixels=5000, iterations=4)
     text = summarise(Measurement(fit=fit, time_s=0.0125))
-    assert "chi2 per degree of freedom 1.03 over 5000 samples" in text
+    assert text.endswith("chi2 per degree of freedom 1.03 over 5000 samples")
+    blurred = summarise(Measurement(fit=replace(fit, blur_px=0.704)))
+    assert blurred.endswith("over 5000 samples, lens blur 0.70 px")
     assert "0.0125 s after the first row's exposure began" in text
 
 
