@@ -72,6 +72,34 @@ def test_readout_without_an_exposure_time_is_one_line_and_2(words, seen, folder,
     assert main([*words, "--readout", "0"]) == 0
 
 
+def test_each_stage_prints_and_draws_its_own(tmp_path, capsys):
+    folder = tmp_path / "shot"
+    quick = ["--size", "600x400", "--format", "png", "--noise", "0.003", "--readout", "0.01"]
+    assert main(["simulate", "--out", str(folder), *quick]) == 0
+    seen = {}
+    for stage in STAGES:
+        capsys.readouterr()
+        overlay = tmp_path / f"{stage}.png"
+        words = ["measure", str(folder / "shot.png"), "--stage", stage, "--overlay", str(overlay)]
+        assert main([*words, "--json"]) == 0
+        seen[stage] = Measurement.from_json(capsys.readouterr().out)
+        assert seen[stage].stage == stage
+        assert (cv2.imread(str(overlay)) != cv2.imread(str(folder / "shot.png"))).any()
+    assert main(["measure", str(folder / "shot.png")]) == 0
+    text = capsys.readouterr().out
+    assert "stage sweep" in text
+    assert "settled by readout, odds" in text
+    assert "bound      at best x" in text
+    assert seen["profiles"].position_m is None
+    assert seen["contours"].bound is None
+    assert seen["contours"].sign.ambiguous
+    truth = json.loads((folder / "truth.json").read_text())
+    exact = seen["sweep"]
+    assert not exact.sign.ambiguous
+    assert exact.time_s == pytest.approx(truth["time_s"], rel=0.01)
+    assert exact.speed_m_s == pytest.approx(truth["speed_m_s"], abs=4 * exact.speed_std_m_s)
+
+
 def test_json_is_one_object_alone_on_stdout(words, seen, capsys):
     assert main([*words, "--json"]) == 0
     out, err = capsys.readouterr()
