@@ -70,10 +70,10 @@ def report(
         print(f"{name:>10}  refused: {refusal}")
         return None, []
     distances = outward_distances(np.array(entry["across"], float).reshape(-1, 2), result)
-    good = [flag == 0 for flag in result.profiles.flags]
-    width = 2 * float(np.median(np.array(result.profiles.half_width_px)[good]))
+    left, right = (np.array(side) for side in (result.contours.left, result.contours.right))
+    width = float(np.median(np.linalg.norm(right - left, axis=1)))
     print(
-        f"{name:>10}  width {width:4.1f} (eye {entry['width_px']})  profiles {sum(good):3}  "
+        f"{name:>10}  width {width:4.1f} (eye {entry['width_px']})  "
         f"speed {result.speed_m_s:5.1f} +/- {result.speed_std_m_s:4.1f} m/s  "
         f"points {' '.join(f'{d:+.1f}' for d in distances)}"
     )

@@ -127,6 +127,32 @@ def minimise_equations(
     )
 
 
+def solve_information(information: Tensor, right: Tensor, damping: float = 0.0) -> Tensor:
+    """Solve information @ x = right, damped as much as it takes where that is singular.
+
+    The damping is one of the matrix scaled to a unit diagonal; what is not finite gives 0.
+
+    Args:
+        information: symmetric, positive [K, K].
+        right: [K].
+        damping: the least.
+
+    Returns:
+        x [K].
+    """
+    scale = information.diagonal().clamp_min(TINY).rsqrt()
+    system = information * torch.outer(scale, scale)
+    if not bool(torch.isfinite(system).all() & torch.isfinite(right).all()):
+        return torch.zeros_like(right)
+    for more in (damping, max(damping, 1e-10), max(damping, 1e-7), max(damping, 1e-4), 1.0):
+        factor, failed = torch.linalg.cholesky_ex(
+            system + more * torch.eye(len(right), dtype=system.dtype)
+        )
+        if not int(failed):
+            break
+    return torch.cholesky_solve((right * scale)[:, None], factor)[:, 0] * scale
+
+
 def invert_information(information: Tensor) -> Tensor:
     """Invert symmetric positive matrices [..., K, K]; infinite diagonal where they are singular."""
     scale = information.diagonal(dim1=-2, dim2=-1).clamp_min(1e-300).rsqrt()

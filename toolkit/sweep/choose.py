@@ -6,10 +6,11 @@ import torch
 from torch import Tensor
 
 from toolkit.sweep.fit import SweepFit, fit_sweep, outline
-from toolkit.sweep.misfit import excess_of
+from toolkit.sweep.misfit import look_for_misfit
 from toolkit.sweep.model import SweepModel, compare
 from toolkit.sweep.paths import PARABOLA, STRAIGHT, BouncePath, SplinePath, SweepPath
 from toolkit.sweep.pixels import Frame
+from toolkit.sweep.shade import TERMS, Shaded
 
 EVIDENCE = 4.0
 """Chi-square that each further number must gain: three are added by chance once in a hundred."""
@@ -22,6 +23,10 @@ FINE, COARSE = 12.0, 7.0
 """Squares to the half width: where the path is chosen, and where a rough start is bettered."""
 LARGEST_SQUARE = 6
 """px, where the path is chosen."""
+SHADE_STD = 0.3
+"""Prior standard deviation of a shade, over the mean signal of the streak."""
+COLOURS = 3
+"""Channels from which a signal is light, that a shade can change."""
 DOUBT = 0.3
 """Half widths by which a rough start may be off."""
 
@@ -64,6 +69,7 @@ def most_likely_motion(frame: Frame, model: SweepModel, start: Start) -> SweepFi
         doubt = DOUBT * half_width if side > fine else 2.0 * fine
         fit = fit_sweep(model, x, frame, side=side, doubt=doubt)
         x = fit.parameters
+    fit = _shaded_if_asked(fit, frame, fine)
     while (richer := _asked_for(fit)) is not None:
         trial = fit_sweep(richer[0], richer[1], frame, side=fine, doubt=2.0 * fine)
         if _gain(fit, trial) < EVIDENCE * (trial.model.path.size - fit.model.path.size):
@@ -92,6 +98,23 @@ def _first_parameters(model: SweepModel, start: Start) -> Tensor:
     return torch.cat([shape, spread, looks, neutral])
 
 
+def _shaded_if_asked(fit: SweepFit, frame: Frame, side: int) -> SweepFit:
+    """Let the ball be shaded where the whole streak misses alike, and the picture gains by it."""
+    model = fit.model
+    channels = model.channels
+    if not look_for_misfit(fit).is_common or channels < COLOURS:
+        return fit
+    estimator = Shaded(estimator=model.estimator, channels=channels)
+    bright = float(fit.pixels.signal[:, fit.seen.coverage.alpha > 0].abs().mean())
+    shaded = replace(model, estimator=estimator, shade_std=SHADE_STD * bright)
+    first = model.path.size + 1 + model.unknowns
+    none = torch.zeros(TERMS * channels, dtype=torch.float64)
+    x = torch.cat([fit.parameters[:first], none, fit.parameters[first:]])
+    trial = fit_sweep(shaded, x, frame, side=side, doubt=2.0 * side)
+    gain = _gain(fit, trial)
+    return trial if trial.converged and gain > EVIDENCE * len(none) else fit
+
+
 def _first_path(start: Start, ball_radius: float) -> SweepPath:
     """Take the simplest path that follows the start."""
     if start.corner is not None:
@@ -108,12 +131,12 @@ def _first_path(start: Start, ball_radius: float) -> SweepPath:
 def _asked_for(fit: SweepFit) -> tuple[SweepModel, Tensor] | None:
     """Find the richer path that a single step towards it promises most of, if any is worth it."""
     best, promised = None, 0.0
+    doubt = look_for_misfit(fit).factor
     for path in _richer(fit.model.path):
         model = replace(fit.model, path=path)
         x = _carried(fit, path)
         seen = compare(model, x, fit.pixels)
-        step = torch.linalg.lstsq(seen.information, -seen.gradient[:, None], driver="gelsd")
-        gain = float(-seen.gradient @ step.solution[:, 0]) / excess_of(fit.seen)
+        gain = seen.step()[1] / doubt
         gain -= EVIDENCE * (path.size - fit.model.path.size)
         if gain > promised:
             best, promised = (model, x), gain
@@ -144,4 +167,4 @@ def _carried(fit: SweepFit, path: SweepPath) -> Tensor:
 def _gain(fit: SweepFit, trial: SweepFit) -> float:
     """Chi-square that another fit saves on the same pixels, in units of the misfit that stays."""
     other = compare(fit.model, fit.parameters, trial.pixels)
-    return (other.cost - trial.seen.cost) / excess_of(trial.seen)
+    return (other.cost - trial.seen.cost) / look_for_misfit(trial).factor

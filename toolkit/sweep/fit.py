@@ -1,5 +1,6 @@
 """The most likely motion: all pixels of the streak at once, coarse squares of them first."""
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -79,9 +80,9 @@ def search(
     x, seen, damping = start, compare(model, start, pixels), FIRST_DAMPING
     converged, iterations = False, 0
     while iterations < MAX_STEPS:
-        step, gain = _step(seen, damping)
+        step, gain = seen.step(damping)
         if gain < tolerance:
-            converged = True
+            converged = math.isfinite(seen.cost)
             break
         iterations += 1
         candidate = _within_bounds(model, x + step)
@@ -98,20 +99,6 @@ def search(
         converged=converged,
         iterations=iterations,
     )
-
-
-def _step(seen: Comparison, damping: float) -> tuple[Tensor, float]:
-    """Give the next step and the chi-square that it promises."""
-    scale = seen.information.diagonal().clamp_min(1e-300).rsqrt()
-    system = seen.information * torch.outer(scale, scale)
-    system.diagonal().add_(damping)
-    factor, failed = torch.linalg.cholesky_ex(system)
-    if int(failed):
-        system.diagonal().add_(1.0)
-        factor = torch.linalg.cholesky(system)
-    right = -(seen.gradient * scale)[:, None]
-    step = torch.cholesky_solve(right, factor)[:, 0]
-    return step * scale, float(step @ right[:, 0])
 
 
 def _within_bounds(model: SweepModel, x: Tensor) -> Tensor:

@@ -36,7 +36,13 @@ class Misfit:
     patch_place: Tensor  # [B, 2] px
     patch_sigma: Tensor  # [B] misfit of the opacity's mean, standard deviations
     factor: float  # by which the covariance is to be widened
-    significant: bool  # beyond chance
+    is_patchy: bool  # patches beyond chance
+    is_common: bool  # lanes beyond chance: all of the streak misses alike
+
+    @property
+    def significant(self) -> bool:
+        """Whether there is more than noise."""
+        return self.is_patchy or self.is_common
 
 
 def excess_of(seen: Comparison) -> float:
@@ -64,11 +70,11 @@ def look_for_misfit(fit: SweepFit) -> Misfit:
     by_lane = _mean_square(lanes)
     single = excess_of(seen)
     is_patchy = patches > 1 + CHANCE * math.sqrt(2 / max(len(sigma), 1))
-    is_laned = by_lane > 1 + CHANCE * math.sqrt(2 / max(len(lanes), 1))
+    is_common = by_lane > 1 + CHANCE * math.sqrt(2 / max(len(lanes), 1))
     factor = single
     if is_patchy:
         factor = max(factor, patches)
-    if is_laned:
+    if is_common:
         factor = max(factor, by_lane)
     counts = torch.bincount(inverse, minlength=len(sigma)).double().clamp_min(1)
     middle = torch.stack(
@@ -82,7 +88,8 @@ def look_for_misfit(fit: SweepFit) -> Misfit:
         patch_place=middle,
         patch_sigma=sigma,
         factor=factor,
-        significant=is_patchy or is_laned,
+        is_patchy=is_patchy,
+        is_common=is_common,
     )
 
 

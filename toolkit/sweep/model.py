@@ -15,6 +15,7 @@ from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator
 from toolkit.camera import Camera
+from toolkit.least_squares import solve_information
 from toolkit.sweep.colours import (
     NARROW,
     BallColours,
@@ -26,6 +27,7 @@ from toolkit.sweep.colours import (
 from toolkit.sweep.opacity import ArcOpacity, Passage, arc_opacity
 from toolkit.sweep.paths import SweepPath
 from toolkit.sweep.pixels import StreakPixels
+from toolkit.sweep.shade import TERMS
 
 HUBER = 3.5
 """Standard deviations beyond which a pixel's misfit counts linearly."""
@@ -47,6 +49,7 @@ class SweepModel:
     estimator: AlphaEstimator
     camera: Camera
     ball_radius: float
+    shade_std: float = 0.0  # prior of each number of a shade, light; 0 where there is none
     row_delay: float = 0.0  # exposures from one row to the next
     middle_row: float = 0.0  # whose exposure runs from -1/2 to 1/2
 
@@ -190,10 +193,12 @@ class Comparison:
         pull = torch.zeros_like(self.gradient)
         for q, (J, at) in enumerate(zip(self.J, self.columns, strict=True)):
             pull[at] += J @ change[q]
-        solution: Tensor = torch.linalg.lstsq(
-            self.information, pull[:, None], driver="gelsd"
-        ).solution
-        return solution[:, 0]
+        return solve_information(self.information, pull)
+
+    def step(self, damping: float = 0.0) -> tuple[Tensor, float]:
+        """Give the Gauss-Newton step [P] and the chi-square that it promises."""
+        step = solve_information(self.information, -self.gradient, damping)
+        return step, float(-step @ self.gradient)
 
 
 def compare(
@@ -248,6 +253,11 @@ def compare(
     information[shared:, shared:] += beside.information
     cost += beside.cost + float(gains @ (2 * beside.gradient + beside.information @ gains))
     cost += _add_priors(gradient, information, gains, shared)
+    if model.shade_std:
+        last = slice(shared - TERMS * channels, shared)
+        gradient[last] += x[last] / model.shade_std**2
+        information.diagonal()[last] += model.shade_std**-2
+        cost += float((x[last] ** 2).sum()) / model.shade_std**2
     return Comparison(
         cost=cost,
         gradient=gradient,

@@ -32,6 +32,8 @@ NODES = 14
 GUESSES = 9
 """Instants from which the one of closest approach is searched on a bent arc."""
 NEWTON_STEPS = 4
+SLACKEST = 1e-6
+"""Share of the squared speed below which the motion does not go across a ray at all."""
 MOSTLY = 0.6
 """Share of the rays from which an arc is followed for all of them."""
 
@@ -230,7 +232,7 @@ def _near(
     a0, a1, a2 = arc @ rays.unit
     c = arc @ arc.mT
     if bool((arc[2] == 0).all()):
-        A = c[1, 1] - a1 * a1
+        A = (c[1, 1] - a1 * a1).clamp_min(SLACKEST * float(c[1, 1]))
         t = (a0 * a1 - c[0, 1]) / A
         f = c[0, 0] - a0 * a0 - A * t * t
     else:
@@ -244,7 +246,7 @@ def _near(
         t = _nearest_instant(quartic, start, stop)
         f0, f1, f2, f3, f4 = quartic
         f = f0 + t * (f1 + t * (f2 + t * (f3 + t * f4)))
-        A = f2 + t * (3 * f3 + t * 6 * f4)
+        A = (f2 + t * (3 * f3 + t * 6 * f4)).clamp_min(SLACKEST * float(c[1, 1]))
     # room for the spread: a px is about this long at the ball
     step = float(c[0, 0].sqrt() * torch.linalg.vector_norm(rays.right[:, 0]))
     slack = REACH * spread**0.5 * step
