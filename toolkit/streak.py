@@ -4,7 +4,6 @@ It is where the opacity is significant, has the ball's colour and the shape of a
 """
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import cv2
@@ -16,11 +15,9 @@ from torch import Tensor
 from toolkit.alpha import AlphaEstimator, Observation
 from toolkit.demosaicing import superpixels
 from toolkit.errors import ConfigError, StreakError
-from toolkit.splines import SplineBasis, fit_smooth, fit_spline
+from toolkit.splines import fit_smooth
+from toolkit.streak_shape import AXIS_POINTS, Map, Mask, Region, is_of_a_ball, regions
 from toolkit.types import LinearImage, NoiseModel, Streak
-
-Mask = NDArray[np.uint8]
-Map = NDArray[np.float32]
 
 MAX_SIDE = 800
 """px; larger pictures are reduced to this: the search for a whole streak needs no more."""
@@ -32,22 +29,41 @@ MIN_OPACITY = 0.04
 MIN_LIKENESS = 0.2
 """Share of a pixel's change that the ball's colour must explain: little, since the light varies."""
 MIN_AREA = 60
-"""px of the reduced picture."""
-CANDIDATES = 6
-AXIS_POINTS = 64
-MIN_ELONGATION = 1.5
-"""Length of a candidate over its width; rounder ones are not streaks."""
+"""px of the picture in which a streak is finally found."""
+FIRST_AREA = 12
+"""px of the reduced picture, from which a region is looked at more closely."""
+FINE = 8.0
+"""px of the reduced picture; thinner streaks are looked at in a less reduced window."""
+ZOOM = 3.0
+"""Half widths about a region that this window holds, and 8 px more."""
 ROI = tuple[int, int, int, int]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Candidate:
-    """A connected region that may be the streak, px of the reduced picture."""
+class _Scene:
+    """Shot and background, or a window of both, and what is to be found in them."""
 
-    mask: Mask  # [H, W] 0 or 1
-    axis: NDArray[np.float64]  # [N, 2]
-    half_width: float
-    score: float
+    image: LinearImage
+    background: LinearImage
+    noise: NoiseModel
+    estimator: AlphaEstimator
+    roi: ROI | None
+
+    def window(self, area: ROI) -> "_Scene":
+        """Cut out a part; the region to search in moves along."""
+        roi = None if self.roi is None else _intersection(self.roi, area)
+        return replace(
+            self, image=self.image.window(*area), background=self.background.window(*area), roi=roi
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Search:
+    """What was found in a scene, and why nothing, should no region be of a ball."""
+
+    regions: list[Region]  # the likeliest first
+    opacity: Map | None  # [H, W]; None where its scale is not known
+    why_nothing: str
 
 
 def find_streak(
@@ -57,7 +73,7 @@ def find_streak(
     estimator: AlphaEstimator,
     roi: ROI | None = None,
 ) -> Streak:
-    """Find the streak and its rough axis in one picture.
+    """Find the streak and its rough axis in one picture: also that of a ball that stood still.
 
     Args:
         image: the shot, B = 1.
@@ -71,31 +87,84 @@ def find_streak(
         upright.
 
     Raises:
-        StreakError: when nothing in the picture looks like the streak of such a ball.
+        StreakError: when nothing in the picture looks like the trail of such a ball.
         ConfigError: when the region lies outside the picture.
     """
+    if roi is not None:
+        _check_roi(roi, image)
+    scene = _Scene(image=image, background=background, noise=noise, estimator=estimator, roi=roi)
     factor = _reduction(image)
-    observation = estimator.observe(
-        _reduced(image, factor), _reduced(background, factor), _averaged(noise, factor)
+    first = _search(scene, factor, MIN_AREA if factor == 1 else FIRST_AREA)
+    for region in first.regions:
+        area, finer = _closer(region, factor, image)
+        found = first if finer == factor else _search(scene.window(area), finer, MIN_AREA)
+        seen = [region] if finer == factor else found.regions
+        for near in seen:
+            if near.mask.sum() >= MIN_AREA and is_of_a_ball(near, found.opacity):
+                return _streak(near, (0, 0) if finer == factor else area[:2], finer, image)
+    raise StreakError(first.why_nothing)
+
+
+def _search(scene: _Scene, factor: int, min_area: int) -> _Search:
+    """Look for the streak in a scene reduced by a factor.
+
+    Args:
+        scene: where to search.
+        factor: the answer is in px of the reduced picture.
+        min_area: px of the reduced picture.
+    """
+    observation = scene.estimator.observe(
+        _reduced(scene.image, factor),
+        _reduced(scene.background, factor),
+        _averaged(scene.noise, factor),
     )
-    opacity, significance, likeness = _evidence(observation, estimator)
+    opacity, significance, likeness = _evidence(observation, scene.estimator)
     found = (
         (significance > MIN_SIGNIFICANCE) & (opacity > MIN_OPACITY) & (likeness > MIN_LIKENESS)
     ).astype(np.uint8)
-    if roi is not None:
-        region = _roi_mask(roi, image, factor, found.shape)
+    if scene.roi is not None:
+        region = _roi_mask(scene.roi, factor, found.shape)
         found &= region
         significance = significance * region
-    candidates = sorted(_candidates(found, opacity, likeness), key=lambda c: c.score, reverse=True)
-    if not candidates:
-        raise StreakError(_why_nothing(found, significance))
-    best = candidates[0]
-    axis = _forward((best.axis + 0.5) * factor - 0.5)
-    mask = cv2.resize(best.mask, (image.width, image.height), interpolation=cv2.INTER_NEAREST)
+    merit = opacity * likeness
+    return _Search(
+        regions=sorted(
+            regions(found, min_area),
+            key=lambda region: float(merit[region.mask > 0].sum()) * region.evenness,
+            reverse=True,
+        ),
+        opacity=None if scene.estimator.unknowns() else opacity,
+        why_nothing=_why_nothing(found, significance),
+    )
+
+
+def _closer(region: Region, factor: int, image: LinearImage) -> tuple[ROI, int]:
+    """Choose a window about a thin region and by how much less to reduce it."""
+    wanted = max(1, int(factor * (region.half_width - SMOOTHING) / FINE))
+    reach = ZOOM * region.half_width + 8
+    low = ((region.axis.min(0) - reach) * factor).clip(0).astype(int)
+    high = ((region.axis.max(0) + reach) * factor).clip(0, (image.width, image.height)).astype(int)
+    period = 1 if image.pattern is None else len(image.pattern)
+    left, top = (low // period * period).tolist()
+    width, height = (high - (left, top)).tolist()
+    # whole periods of a mosaic need not be filled in
+    finer = math.ceil(max(wanted, max(width, height) / MAX_SIDE) / period) * period
+    return (left, top, width, height), min(finer, factor)
+
+
+def _streak(region: Region, corner: tuple[int, int], factor: int, image: LinearImage) -> Streak:
+    """Give a region of a reduced window, whose corner lies at (x, y) px, in the whole picture."""
+    axis = _forward((region.axis + 0.5) * factor - 0.5 + corner)
+    height, width = (factor * side for side in region.mask.shape)
+    left, top = corner
+    mask = np.zeros((image.height, image.width), np.uint8)
+    fine = cv2.resize(region.mask, (width, height), interpolation=cv2.INTER_NEAREST)
+    mask[top : top + height, left : left + width] = fine
     return Streak(
         mask=torch.from_numpy(mask.view(np.bool_))[None, None],
         axis=torch.from_numpy(axis)[None],
-        half_width=torch.tensor([best.half_width * factor], dtype=torch.float64),
+        half_width=torch.tensor([region.half_width * factor], dtype=torch.float64),
+        travel=torch.tensor([region.travel * factor], dtype=torch.float64),
     )
 
 
@@ -196,7 +265,7 @@ def _smooth(values: Tensor) -> Map:
     return cv2.GaussianBlur(picture, (0, 0), SMOOTHING).astype(np.float32)
 
 
-def _roi_mask(roi: ROI, image: LinearImage, factor: int, shape: tuple[int, ...]) -> Mask:
+def _check_roi(roi: ROI, image: LinearImage) -> None:
     left, top, width, height = roi
     fits = 0 <= left and 0 <= top and left + width <= image.width and top + height <= image.height
     if not fits or width <= 0 or height <= 0:
@@ -204,119 +273,22 @@ def _roi_mask(roi: ROI, image: LinearImage, factor: int, shape: tuple[int, ...])
             f"region {left},{top},{width},{height} does not lie inside the picture "
             f"({image.width}x{image.height} px); give X,Y,W,H inside it"
         )
+
+
+def _intersection(roi: ROI, area: ROI) -> ROI:
+    """Give the part of a region within an area, from the area's corner."""
+    low = [max(roi[axis] - area[axis], 0) for axis in (0, 1)]
+    high = [min(roi[a] + roi[a + 2] - area[a], area[a + 2]) for a in (0, 1)]
+    return low[0], low[1], max(high[0] - low[0], 0), max(high[1] - low[1], 0)
+
+
+def _roi_mask(roi: ROI, factor: int, shape: tuple[int, ...]) -> Mask:
+    left, top, width, height = roi
     mask = np.zeros(shape, np.uint8)
     mask[
         top // factor : -(-(top + height) // factor), left // factor : -(-(left + width) // factor)
     ] = 1
     return mask
-
-
-def _candidates(found: Mask, opacity: Map, likeness: Map) -> Iterator[Candidate]:
-    """Yield the largest regions that are elongated enough, with their axes."""
-    closed = cv2.morphologyEx(found, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=8)
-    by_area = sorted(range(1, count), key=lambda i: stats[i, cv2.CC_STAT_AREA], reverse=True)
-    for label in by_area[:CANDIDATES]:
-        if stats[label, cv2.CC_STAT_AREA] < MIN_AREA:
-            return
-        mask = _fill_holes((labels == label).astype(np.uint8))
-        axis, half_width = trace_axis(mask)
-        length = float(np.linalg.norm(np.diff(axis, axis=0), axis=1).sum())
-        if length >= MIN_ELONGATION * 2 * half_width:
-            evenness = _evenness(mask, axis, half_width)
-            score = float((opacity * likeness)[mask > 0].sum()) * evenness
-            yield Candidate(mask=mask, axis=axis, half_width=half_width, score=score)
-
-
-def _fill_holes(mask: Mask) -> Mask:
-    outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    filled = np.zeros_like(mask)
-    cv2.drawContours(filled, outlines, -1, 1, cv2.FILLED)
-    return filled
-
-
-def _evenness(mask: Mask, axis: NDArray[np.float64], half_width: float) -> float:
-    """Intersection over union of the region and a band of constant width about its axis."""
-    band = np.zeros_like(mask)
-    inner = axis[_between_caps(axis, half_width)]
-    points = np.round(inner).astype(np.int32)[:, None]
-    cv2.polylines(band, [points], isClosed=False, color=1, thickness=max(1, round(2 * half_width)))
-    union = int(np.count_nonzero(band | mask))
-    return int(np.count_nonzero(band & mask)) / max(union, 1)
-
-
-def _between_caps(axis: NDArray[np.float64], half_width: float) -> NDArray[np.bool_]:
-    length = np.concatenate([[0.0], np.linalg.norm(np.diff(axis, axis=0), axis=1).cumsum()])
-    return np.asarray((length >= half_width) & (length <= length[-1] - half_width))
-
-
-def trace_axis(mask: Mask) -> tuple[NDArray[np.float64], float]:
-    """Trace the middle line of an elongated region, from tip to tip, and its half width.
-
-    Pixels are ordered by their distance from one tip measured inside the region; the middles of
-    equal distances make the line, which therefore follows any bend that does not cross itself.
-    [derived]
-
-    Args:
-        mask: [H, W], 1 inside the region.
-
-    Returns:
-        Points [N, 2] px and the half width, px.
-    """
-    columns, rows = np.nonzero(mask.any(0))[0], np.nonzero(mask.any(1))[0]
-    left, top = int(columns[0]) - 1, int(rows[0]) - 1
-    window = np.pad(mask, 1)[rows[0] : rows[-1] + 3, columns[0] : columns[-1] + 3]
-    ys, xs = np.nonzero(window)
-    tip = _farthest(window, (int(ys[0]), int(xs[0])))
-    distance = _walk(window, _farthest(window, tip))
-    far = distance[ys, xs]
-    half_width = float(cv2.distanceTransform(window, cv2.DIST_L2, 5).max())
-    half_width = min(half_width, mask.sum() / max(2 * float(far.max()), 1.0) * 1.2)
-    points = np.stack([xs + left, ys + top], axis=-1).astype(np.float64)
-    edge = min(half_width, far.max() / 4)
-    inside = (far >= edge) & (far <= far.max() - edge)
-    basis = SplineBasis(
-        start=float(edge),
-        stop=float(far.max() - edge),
-        size=int(np.clip(2 + far.max() / (5 * half_width), 2, 8)),
-    )
-    order = torch.from_numpy(far[inside].astype(np.float64))
-    coefficients, _ = fit_spline(
-        basis, order, torch.from_numpy(points[inside]), torch.ones_like(order)
-    )
-    along = torch.linspace(0, float(far.max()), AXIS_POINTS, dtype=torch.float64)
-    inner = along.clamp(basis.start, basis.stop)
-    line = basis(inner) @ coefficients + (along - inner)[:, None] * (basis(inner, 1) @ coefficients)
-    return line.numpy(), half_width
-
-
-def _farthest(window: Mask, seed: tuple[int, int]) -> tuple[int, int]:
-    distance = _walk(window, seed)
-    row, column = np.unravel_index(int(distance.argmax()), distance.shape)
-    return int(row), int(column)
-
-
-def _walk(window: Mask, seed: tuple[int, int]) -> NDArray[np.float32]:
-    """Count the steps from the seed to every pixel of the region, about 1 px each; -1 elsewhere."""
-    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-    square = np.ones((3, 3), np.uint8)
-    reached = np.zeros_like(window)
-    reached[seed] = 1
-    distance = np.where(reached > 0, 0, -1).astype(np.float32)
-    step = 0
-    while True:
-        step += 1
-        # a cross after every two squares advances nearly equally far in every direction
-        grown = np.zeros_like(window)
-        cv2.dilate(reached, cross if step % 3 == 0 else square, dst=grown)
-        grown &= window
-        new = grown != reached
-        if not new.any():
-            if step % 3:
-                return distance
-            continue  # a cross may stop where only a corner leads on
-        distance[new] = step
-        reached = grown
 
 
 def _forward(axis: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -335,7 +307,7 @@ def _why_nothing(found: Mask, significance: Map) -> str:
             "check shot, background and ball colour"
         )
     return (
-        "no streak found: what differs from the background is too small or too round; the "
-        "method needs a streak about 2.6 times as long as wide, so expose longer, or point at it "
+        "no streak found: what differs from the background is too small, or has not the shape or "
+        "the opacity of a ball's trail; check background and ball colour, or point at the ball "
         "with a region"
     )

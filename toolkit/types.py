@@ -197,6 +197,12 @@ class Streak:
     mask: Tensor  # [B, 1, H, W] bool
     axis: Tensor  # [B, N, 2] px, from one tip to the other at equal spacing
     half_width: Tensor  # [B] px, rough
+    travel: Tensor  # [B] px that the ball's centre went, rough: mostly a tenth to a third short
+
+    @property
+    def widths(self) -> float:
+        """How many of its own widths the ball went, in the first picture."""
+        return float(self.travel[0] / (2 * self.half_width[0]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

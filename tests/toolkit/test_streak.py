@@ -9,8 +9,10 @@ from plugins.uniform import Uniform
 from toolkit import ConfigError, LinearImage, StreakError
 from toolkit.background import estimate_noise
 from toolkit.demosaicing import demosaic
-from toolkit.streak import _reduced, find_streak, refine_axis, trace_axis
-from toolkit.synthetic import benchmark_scene, render_shot
+from toolkit.streak import _reduced, find_streak, refine_axis
+from toolkit.streak_shape import trace_axis
+from toolkit.synthetic import NoiseLevel, add_noise, benchmark_scene, render_shot
+from toolkit.synthetic.render import BACKGROUND, SHOT, record
 from toolkit.view import _grown, observe_streak
 
 
@@ -77,10 +79,75 @@ def test_a_picture_without_the_ball_is_refused(shot):
         search(shot, shot.background)
 
 
-def test_a_round_image_is_no_streak():
-    still = render_shot(benchmark_scene(width_px=30, length_widths=0.1, size=(120, 100)), seed=0)
-    with pytest.raises(StreakError, match="too small or too round"):
-        search(still)
+def rendered(width, length, size, noise=0.01, **scene):
+    level = NoiseLevel(read=noise)
+    scene = benchmark_scene(width_px=width, length_widths=length, size=size, noise=level, **scene)
+    return render_shot(scene, seed=3, step=0.5)
+
+
+@pytest.mark.parametrize("colour_is_known", [True, False])
+@pytest.mark.parametrize(
+    ("width", "length", "size", "noise"),
+    [
+        (24, 0.0, (120, 100), 0.005),
+        (20, 0.0, (1300, 900), 0.03),
+        (20, 1.0, (1300, 900), 0.03),
+        (40, 0.5, (200, 160), 0.03),
+        (90, 0.3, (260, 260), 0.01),
+        (90, 1.5, (400, 400), 0.01),
+    ],
+)
+def test_a_ball_that_hardly_moved_is_found(width, length, size, noise, colour_is_known):
+    shot = rendered(width, length, size, noise)
+    colour = shot.scene.appearance.colour if colour_is_known else None
+    level = estimate_noise(shot.image, shot.background)
+    streak = find_streak(shot.image, shot.background, level, Uniform(colour=colour))
+    middle = streak.axis[0].mean(0)
+    assert (middle - true_centres(shot).mean(0)).norm() < 0.15 * width
+    assert float(streak.half_width) == pytest.approx(width / 2, rel=0.3)
+    assert 0.4 * length < streak.widths + 0.01 < length + 0.3
+    covered = streak.mask[0, 0] & (shot.alpha > 0)
+    assert int(covered.sum()) > 0.9 * int((shot.alpha > 0.1).sum())
+
+
+def test_travel_tells_short_from_long(shot):
+    assert search(shot).widths == pytest.approx(4.5, abs=0.7)
+
+
+def test_a_spot_that_only_darkens_is_no_black_ball():
+    size = (200, 160)
+    ground = rendered(30, 0.0, size).background
+    y, x = torch.meshgrid(torch.arange(size[1]), torch.arange(size[0]), indexing="ij")
+    shadow = 1 - 0.3 * ((x - 100).square() + (y - 80).square() < 400)
+    image = LinearImage(rgb=ground.rgb * shadow, clipped=ground.clipped)
+    noise = estimate_noise(image, ground)
+    with pytest.raises(StreakError, match="no streak found"):
+        find_streak(image, ground, noise, Uniform(colour=(0.0, 0.0, 0.0)))
+
+
+def test_a_ragged_spot_is_no_ball():
+    ground = rendered(30, 0.0, (200, 160)).background
+    angle, reach = np.arange(10) * np.pi / 5, np.where(np.arange(10) % 2, 14, 70)  # a star
+    corners = np.stack([100 + reach * np.cos(angle), 80 + reach * np.sin(angle)], -1)
+    spot = cv2.fillPoly(np.zeros((160, 200), np.float32), [corners.astype(np.int32)], 1.0)
+    alpha, colour = torch.from_numpy(spot), torch.tensor([1.0, 0.6, 0.1])[:, None, None]
+    image = LinearImage(rgb=torch.lerp(ground.rgb, colour, alpha), clipped=ground.clipped)
+    with pytest.raises(StreakError, match="no streak found"):
+        find_streak(image, ground, estimate_noise(image, ground), Uniform())
+
+
+@pytest.mark.parametrize("colour", [(0.8, 0.5, 0.1), None])
+@pytest.mark.parametrize("size", [(120, 100), (1300, 900)])
+def test_noise_alone_is_no_ball(size, colour):
+    scene = benchmark_scene(width_px=20, length_widths=0, size=size)
+    empty = render_shot(scene, step=3.0, supersampling=1).clean_background
+    for seed in range(4):
+        image, ground = (
+            record(add_noise(empty, NoiseLevel(read=0.02), seed, stream), 0.02)
+            for stream in (SHOT, BACKGROUND)
+        )
+        with pytest.raises(StreakError, match=r"no (ball|streak) found"):
+            find_streak(image, ground, estimate_noise(image, ground), Uniform(colour=colour))
 
 
 @pytest.mark.parametrize("size", [(260, 220), (1021, 500)])

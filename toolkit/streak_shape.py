@@ -1,0 +1,215 @@
+"""The shape of a region of the picture: whether a ball can have left it, and its middle line.
+
+A ball leaves the band of its own width about its path: a disc where it stood still. All lengths are
+px of the picture given.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from toolkit.splines import SplineBasis, fit_spline
+
+Mask = NDArray[np.uint8]
+Map = NDArray[np.float32]
+Points = NDArray[np.float64]
+
+CANDIDATES = 6
+"""Regions that are looked at, the largest."""
+AXIS_POINTS = 64
+MIN_EVENNESS = 0.4
+"""Share of a region and its band together that both must hold; corners and noise cost some."""
+OPAQUE = 1.0
+"""Widths of travel below which a ball covers the middle of its trail all the time."""
+STOUT = 2.0
+"""Length over width below which a region may be too short for its tips to be found."""
+SOLID = 0.95
+"""Share of its convex hull that such a region fills."""
+CORE = 0.5
+"""Half widths from the outline from which a region's opacity is looked at."""
+CORE_OPACITY = (0.4, 1.8)
+"""Its range where the ball covers that all the time: shades differ from the ball's middle."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Region:
+    """A connected region of the picture that a ball may have left."""
+
+    mask: Mask  # [H, W] 0 or 1
+    axis: Points  # [N, 2] px, from tip to tip
+    half_width: float  # px
+    travel: float  # px, of the ball's centre
+    evenness: float  # intersection over union of the region and a band of constant width
+
+    @property
+    def widths(self) -> float:
+        """How many of its own widths the ball went."""
+        return self.travel / (2 * self.half_width)
+
+
+def regions(found: Mask, min_area: int) -> Iterator[Region]:
+    """Yield the largest connected regions with their axes, holes filled."""
+    closed = cv2.morphologyEx(found, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=8)
+    by_area = sorted(range(1, count), key=lambda i: stats[i, cv2.CC_STAT_AREA], reverse=True)
+    for label in by_area[:CANDIDATES]:
+        if stats[label, cv2.CC_STAT_AREA] < min_area:
+            return
+        mask = _fill_holes((labels == label).astype(np.uint8))
+        axis, half_width = _straight_axis(mask) or trace_axis(mask)
+        # a disc of radius r that travels L sweeps pi r^2 + 2 r L
+        travel = float(mask.sum()) / (2 * half_width) - math.pi / 2 * half_width
+        yield Region(
+            mask=mask,
+            axis=axis,
+            half_width=half_width,
+            travel=max(travel, 0.0),
+            evenness=_evenness(mask, axis, half_width),
+        )
+
+
+def is_of_a_ball(region: Region, opacity: Map | None) -> bool:
+    """Whether a ball can have left a region: it must be even, and a very short one opaque.
+
+    Args:
+        region: to be judged.
+        opacity: of every pixel [H, W]; None where only its course is known, not its scale.
+    """
+    if region.evenness < MIN_EVENNESS:
+        return False
+    if opacity is None or region.widths >= OPAQUE:
+        return True
+    depth = cv2.distanceTransform(region.mask, cv2.DIST_L2, 5)
+    core = float(np.median(opacity[depth >= min(CORE * region.half_width, float(depth.max()))]))
+    low, high = CORE_OPACITY
+    return low < core < high
+
+
+def _straight_axis(mask: Mask) -> tuple[Points, float] | None:
+    """Lay the axis of a short, convex region along its longest extent, and give its half width.
+
+    Such a region is as wide as long or nearly, and its tips are no places that a walk would find.
+    """
+    points = _points(mask)
+    hull = cv2.contourArea(cv2.convexHull(points))
+    (_, sides, _) = cv2.minAreaRect(points)
+    if max(sides) > STOUT * min(sides) or len(points) < SOLID * hull:
+        return None
+    places = points.astype(np.float64)
+    middle = places.mean(0)
+    along = np.linalg.eigh(np.cov((places - middle).T))[1][:, 1]
+    first, last = _extent(places - middle, along)
+    left, right = _extent(places - middle, along[::-1] * (-1, 1))
+    share = np.linspace(first, last, AXIS_POINTS)[:, None]
+    axis = middle + share * along + (left + right) / 2 * along[::-1] * (-1, 1)
+    depth = float(cv2.distanceTransform(np.pad(mask, 1), cv2.DIST_L2, 5).max())
+    return axis, min(depth, (right - left) / 2)
+
+
+def _points(mask: Mask) -> NDArray[np.int32]:
+    """Give the pixels (x, y) of a region [N, 2]."""
+    return np.asarray(cv2.findNonZero(mask), np.int32).reshape(-1, 2)
+
+
+def _extent(places: Points, direction: Points) -> tuple[float, float]:
+    """Give where points [N, 2] begin and end along a direction, whole pixels counted."""
+    share = places @ direction
+    return float(share.min()) - 0.5, float(share.max()) + 0.5
+
+
+def _fill_holes(mask: Mask) -> Mask:
+    outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    filled = np.zeros_like(mask)
+    cv2.drawContours(filled, outlines, -1, 1, cv2.FILLED)
+    return filled
+
+
+def _evenness(mask: Mask, axis: Points, half_width: float) -> float:
+    """Intersection over union of the region and a band of constant width about its axis."""
+    band = np.zeros_like(mask)
+    is_inner = _between_caps(axis, half_width)
+    # a line through one point, twice, is the disc that thickness makes of it
+    inner = axis[is_inner] if is_inner.any() else axis.mean(0, keepdims=True).repeat(2, axis=0)
+    points = np.round(inner).astype(np.int32)[:, None]
+    cv2.polylines(band, [points], isClosed=False, color=1, thickness=max(1, round(2 * half_width)))
+    union = int(np.count_nonzero(band | mask))
+    return int(np.count_nonzero(band & mask)) / max(union, 1)
+
+
+def _between_caps(axis: Points, half_width: float) -> NDArray[np.bool_]:
+    length = np.concatenate([[0.0], np.linalg.norm(np.diff(axis, axis=0), axis=1).cumsum()])
+    return np.asarray((length >= half_width) & (length <= length[-1] - half_width))
+
+
+def trace_axis(mask: Mask) -> tuple[Points, float]:
+    """Trace the middle line of an elongated region, from tip to tip, and its half width.
+
+    Pixels are ordered by their distance from one tip measured inside the region; the middles of
+    equal distances make the line, which therefore follows any bend that does not cross itself.
+    [derived]
+
+    Args:
+        mask: [H, W], 1 inside the region.
+
+    Returns:
+        Points [N, 2] px and the half width, px.
+    """
+    columns, rows = np.nonzero(mask.any(0))[0], np.nonzero(mask.any(1))[0]
+    left, top = int(columns[0]) - 1, int(rows[0]) - 1
+    window = np.pad(mask, 1)[rows[0] : rows[-1] + 3, columns[0] : columns[-1] + 3]
+    ys, xs = np.nonzero(window)
+    tip = _farthest(window, (int(ys[0]), int(xs[0])))
+    distance = _walk(window, _farthest(window, tip))
+    far = distance[ys, xs]
+    half_width = float(cv2.distanceTransform(window, cv2.DIST_L2, 5).max())
+    half_width = min(half_width, mask.sum() / max(2 * float(far.max()), 1.0) * 1.2)
+    points = np.stack([xs + left, ys + top], axis=-1).astype(np.float64)
+    edge = min(half_width, far.max() / 4)
+    inside = (far >= edge) & (far <= far.max() - edge)
+    basis = SplineBasis(
+        start=float(edge),
+        stop=float(far.max() - edge),
+        size=int(np.clip(2 + far.max() / (5 * half_width), 2, 8)),
+    )
+    order = torch.from_numpy(far[inside].astype(np.float64))
+    coefficients, _ = fit_spline(
+        basis, order, torch.from_numpy(points[inside]), torch.ones_like(order)
+    )
+    along = torch.linspace(0, float(far.max()), AXIS_POINTS, dtype=torch.float64)
+    inner = along.clamp(basis.start, basis.stop)
+    line = basis(inner) @ coefficients + (along - inner)[:, None] * (basis(inner, 1) @ coefficients)
+    return line.numpy(), half_width
+
+
+def _farthest(window: Mask, seed: tuple[int, int]) -> tuple[int, int]:
+    distance = _walk(window, seed)
+    row, column = np.unravel_index(int(distance.argmax()), distance.shape)
+    return int(row), int(column)
+
+
+def _walk(window: Mask, seed: tuple[int, int]) -> NDArray[np.float32]:
+    """Count the steps from the seed to every pixel of the region, about 1 px each; -1 elsewhere."""
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    square = np.ones((3, 3), np.uint8)
+    reached = np.zeros_like(window)
+    reached[seed] = 1
+    distance = np.where(reached > 0, 0, -1).astype(np.float32)
+    step = 0
+    while True:
+        step += 1
+        # a cross after every two squares advances nearly equally far in every direction
+        grown = np.zeros_like(window)
+        cv2.dilate(reached, cross if step % 3 == 0 else square, dst=grown)
+        grown &= window
+        new = grown != reached
+        if not new.any():
+            if step % 3:
+                return distance
+            continue  # a cross may stop where only a corner leads on
+        distance[new] = step
+        reached = grown
