@@ -2,13 +2,12 @@
 
 from dataclasses import dataclass
 
-import cv2
-import numpy as np
 import torch
 from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator, Observation, observe_colours
 from toolkit.background import estimate_noise, sample_pair, scale_background
+from toolkit.clear_pixels import around, roughly_lit
 from toolkit.errors import StreakError
 from toolkit.scene_match import check_light, check_same_scene
 from toolkit.streak import ROI, find_streak
@@ -16,12 +15,8 @@ from toolkit.types import LinearImage, NoiseModel, Streak
 
 DRIFT = 0.003
 """Relative change of the light since the background beyond which the background follows it."""
-LARGE_DRIFT = 0.05
-"""The same, beyond which the streak is not even looked for before the background follows."""
 FIRST_SAMPLES = 10_000
 """Pixels a channel whose noise and light are looked at to find the streak."""
-MARGIN = 1.0
-"""Half widths around the streak within which pixels do not count as background."""
 WINDOW = 2.5
 """Half widths around the axis that the window holds, and 8 px more."""
 
@@ -63,14 +58,11 @@ def observe_streak(
     first = sample_pair(image, background, most=FIRST_SAMPLES)
     light = first.drift()
     check_light(light)
-    # without the streak the light is only roughly known: not worth following unless it stands out
-    is_other_light = bool(((light - 1).abs() > LARGE_DRIFT).any())
-    lit = scale_background(background, light) if is_other_light else background
+    lit = roughly_lit(image, background, light)
     check_same_scene(image, lit)
-    noise = estimate_noise(image, lit) if is_other_light else first.noise()
+    noise = first.noise() if lit is background else estimate_noise(image, lit)
     streak = find_streak(image, lit, noise, estimator, roi)
-    half_width = float(streak.half_width)
-    ignore = _grown(streak.mask, MARGIN * half_width)
+    ignore = around(streak)
     samples = sample_pair(image, background, ignore)
     drift = samples.drift()
     if bool(((drift - 1).abs() > DRIFT).any()):
@@ -93,16 +85,6 @@ def observe_streak(
         corner=(left, top),
         drift=drift,
     )
-
-
-def _grown(mask: Tensor, reach: float) -> Tensor:
-    """Mask with everything within `reach` px of it, on a grid coarse enough to be quick."""
-    step = max(1, int(reach / 4))
-    coarse = np.ascontiguousarray(mask[0, 0, ::step, ::step].numpy()).view(np.uint8)
-    size = 2 * (1 + round(reach / step)) + 1  # one more for what lies between the places looked at
-    wide = cv2.dilate(coarse, np.ones((size, size), np.uint8))
-    grown = cv2.resize(wide, None, fx=step, fy=step, interpolation=cv2.INTER_NEAREST)
-    return torch.from_numpy(grown.view(np.bool_))[None, None, : mask.shape[-2], : mask.shape[-1]]
 
 
 def _check_inside(streak: Streak, image: LinearImage) -> None:

@@ -13,7 +13,7 @@ from toolkit.streak import _reduced, find_streak, refine_axis
 from toolkit.streak_shape import trace_axis
 from toolkit.synthetic import NoiseLevel, add_noise, benchmark_scene, render_shot
 from toolkit.synthetic.render import BACKGROUND, SHOT, record
-from toolkit.view import _grown, observe_streak
+from toolkit.view import observe_streak
 
 
 @pytest.fixture(scope="module")
@@ -220,15 +220,3 @@ def test_the_refined_axis_ignores_profiles_without_weight():
     axis = refine_axis(middle, weight, position, (2, 3))
     assert torch.allclose(axis[0, :, 1], 0.2 * axis[0, :, 0], atol=1e-6)
     assert axis[0, -1, 0] > 75  # continued straight to where the old axis ended
-
-
-@pytest.mark.parametrize("reach", [2.0, 10.0, 37.0])
-def test_the_grown_mask_holds_all_within_reach_and_little_more(reach):
-    mask = torch.zeros(1, 1, 211, 257, dtype=torch.bool)
-    mask[..., 90:130, 60:200] = True
-    grown = _grown(mask, reach)
-    assert (grown.shape, grown.dtype) == (mask.shape, torch.bool)
-    outside = (~mask[0, 0]).numpy().astype(np.uint8)
-    distance = torch.from_numpy(cv2.distanceTransform(outside, cv2.DIST_L2, 5))
-    assert grown[0, 0][distance <= reach].all()
-    assert distance[grown[0, 0]].max() < 2.5 * reach + 3
