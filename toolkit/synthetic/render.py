@@ -134,7 +134,9 @@ class RenderedShot:
 
     def with_noise(self, seed: int, noise: NoiseLevel | None = None) -> "RenderedShot":
         """Give the same shot with other noise, without rendering again."""
-        return _finish(self.scene, self.alpha, self.clean_image, self.clean_background, seed, noise)
+        return expose_sensor(
+            self.scene, self.alpha, self.clean_image, self.clean_background, seed, noise
+        )
 
 
 def render_shot(
@@ -177,7 +179,7 @@ def render_shot(
     background = blur_pixels(sharp, scene.blur, supersampling)
     image = background + _paste(_ball_minus_background(ball, sharp, scene.blur), ball, sharp.shape)
     alpha = mean_over_pixels(ball.layer().alpha[None], supersampling)
-    return _finish(
+    return expose_sensor(
         scene,
         torch.from_numpy(_paste(alpha, ball, (1, *sharp.shape[1:]))[0]),
         torch.from_numpy(image),
@@ -221,15 +223,24 @@ def _paste(patch: Array, ball: BallLight, shape: tuple[int, ...]) -> Array:
     return picture
 
 
-def _finish(
+def expose_sensor(
     scene: Scene,
     alpha: Tensor,
     clean_image: Tensor,
     clean_background: Tensor,
     seed: int,
-    noise: NoiseLevel | None,
+    noise: NoiseLevel | None = None,
 ) -> RenderedShot:
-    """Expose both clean pictures on the sensor."""
+    """Give the shot that a sensor makes of the light of both pictures, rendered before.
+
+    Args:
+        scene: that was rendered.
+        alpha: share of the exposure during which the ball covers each pixel [H, W].
+        clean_image: light of the shot [3, H, W].
+        clean_background: the same without the ball.
+        seed: of the noise.
+        noise: instead of the scene's.
+    """
     level = scene.noise if noise is None else noise
     return RenderedShot(
         image=record(add_noise(clean_image, level, seed, SHOT), scene.exposure),
