@@ -2,7 +2,7 @@
 
 import math
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -15,12 +15,13 @@ from toolkit.errors import ConfigError, StreakError
 from toolkit.following import Reconstruction, follow_motion
 from toolkit.guarded import guarded
 from toolkit.light_change import light_caution
-from toolkit.measurement import Caution, Measurement, ProfileTable
+from toolkit.measurement import Caution, Measurement
 from toolkit.motion import DEPTH, Motion
 from toolkit.reconstruction import reconstruct_axis
 from toolkit.registry import name_of
 from toolkit.result import describe, describe_profiles, profile_table
 from toolkit.rough_motion import rough_motion
+from toolkit.shot_checks import check_readout
 from toolkit.streak import ROI
 from toolkit.streak_fit import ManyColours, fit_streak, settled
 from toolkit.sweep.choose import Start
@@ -90,101 +91,135 @@ def measure(
 
     view = observe_streak(image, background, estimator, roi)
     watch.lap("streak")
-    exposure_std_share = exposure_std / exposure if exposure else 0.0
-    if stage == "profiles":
-        fit, _ = fit_streak(view, estimator)
-        contours, fit = smooth_contours(fit)
-        result = describe_profiles(fit, contours, drift=view.drift)
-        watch.lap("profiles")
-    elif stage == "contours":
-        found, cautions = follow_contours(view, image, estimator, camera, ball_radius, watch)
-        uncertainty = covariances(
-            found,
-            camera,
-            ball_radius,
-            ball_radius_std=ball_radius_std,
-            exposure_std_share=exposure_std_share,
-        )
-        _check_depth(found.motion, uncertainty)
-        result = describe(
-            found, uncertainty, ball_radius=ball_radius, exposure=exposure, drift=view.drift
-        )
-        result = replace(result, warnings=(*result.warnings, *cautions))
-        watch.lap("uncertainty")
-    else:
-        start, profiles = first_motion(view, image, estimator, camera, ball_radius, watch)
-        likeliest = refine(
-            view,
-            estimator,
-            camera,
-            ball_radius,
-            start,
-            Shutter(exposure=exposure, readout=readout, rows=image.height),
-            ball_radius_std=ball_radius_std,
-            exposure_std_share=exposure_std_share,
-        )
-        _check_depth(motion_of(likeliest.fit), likeliest.uncertainty)
-        result = describe_sweep(likeliest, exposure=exposure, drift=view.drift, profiles=profiles)
-        watch.lap("sweep")
+    task = Task(
+        view=view,
+        estimator=estimator,
+        camera=camera,
+        ball_radius=ball_radius,
+        ball_radius_std=ball_radius_std,
+        exposure=exposure,
+        exposure_std_share=exposure_std / exposure if exposure else 0.0,
+        shutter=Shutter(exposure=exposure, readout=readout, rows=image.height),
+        size=(image.width, image.height),
+        watch=watch,
+    )
+    result = {"profiles": by_profiles, "contours": by_contours, "sweep": by_sweep}[stage](task)
     return replace(result, estimator=name, timing_s=watch.seconds)
 
 
-def follow_contours(
-    view: StreakView,
-    image: LinearImage,
-    estimator: AlphaEstimator,
-    camera: Camera,
-    ball_radius: float,
-    watch: "Stopwatch",
-) -> tuple[Reconstruction, tuple[Caution, ...]]:
-    """Follow the paper: profiles, contours, the canal surface, and the motion along its axis."""
-    fit, profiles = fit_streak(view, estimator)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Task:
+    """All that is given, the streak found in it."""
+
+    view: StreakView
+    estimator: AlphaEstimator
+    camera: Camera
+    ball_radius: float  # m
+    ball_radius_std: float  # m
+    exposure: float | None  # s
+    exposure_std_share: float
+    shutter: Shutter
+    size: tuple[int, int]  # of the picture, px
+    watch: "Stopwatch"
+
+
+def by_profiles(task: Task) -> Measurement:
+    """Stop at the profiles across the streak, before any camera."""
+    fit, _ = fit_streak(task.view, task.estimator)
     contours, fit = smooth_contours(fit)
-    _check_contours_inside(contours, image)
-    watch.lap("profiles")
-    axis = reconstruct_axis(fit, contours, camera, ball_radius)
-    watch.lap("axis")
-    known = settled(estimator, fit)
-    light = None if estimator.unknowns() else light_caution(profiles, fit, known)
-    found = follow_motion(view, known, camera, ball_radius, fit, contours, axis)
-    watch.lap("motion")
+    task.watch.lap("profiles")
+    return describe_profiles(fit, contours, drift=task.view.drift)
+
+
+def by_contours(task: Task) -> Measurement:
+    """Follow the paper: profiles, contours, the canal surface, and the motion along its axis."""
+    found, cautions = follow_contours(task)
+    return report_contours(task, found, cautions)
+
+
+def by_sweep(task: Task) -> Measurement:
+    """Find the motion whose exact image is the likeliest, starting from what is known roughly.
+
+    Where no motion's image explains the streak, what its contours say is reported instead.
+    """
+    found, refusal = None, None
+    cautions: tuple[Caution, ...] = ()
+    if _length_in_widths(task.view) >= TRACEABLE:
+        try:
+            found, cautions = follow_contours(task)
+        except ManyColours:
+            raise
+        except StreakError as error:  # too few profiles, or a corner: both can be done without
+            refusal = error
+    try:
+        start = rough_start(task) if found is None else close_start(found)
+        likeliest = refine(
+            task.view,
+            task.estimator,
+            task.camera,
+            task.ball_radius,
+            start,
+            task.shutter,
+            ball_radius_std=task.ball_radius_std,
+            exposure_std_share=task.exposure_std_share,
+        )
+    except StreakError as error:
+        if found is None:
+            raise refusal or error from None
+        lost = Caution(
+            code="sweep-failed", message=f"{error}; what the contours say is reported instead"
+        )
+        return report_contours(task, found, (*cautions, lost))
+    _check_depth(motion_of(likeliest.fit), likeliest.uncertainty)
+    task.watch.lap("sweep")
+    return describe_sweep(
+        likeliest,
+        exposure=task.exposure,
+        drift=task.view.drift,
+        profiles=None if found is None else profile_table(found.fit),
+    )
+
+
+def follow_contours(task: Task) -> tuple[Reconstruction, tuple[Caution, ...]]:
+    """Find the motion from the streak's contours, its opacity and its ends."""
+    fit, profiles = fit_streak(task.view, task.estimator)
+    contours, fit = smooth_contours(fit)
+    _check_contours_inside(contours, task.size)
+    task.watch.lap("profiles")
+    axis = reconstruct_axis(fit, contours, task.camera, task.ball_radius)
+    task.watch.lap("axis")
+    known = settled(task.estimator, fit)
+    light = None if task.estimator.unknowns() else light_caution(profiles, fit, known)
+    found = follow_motion(task.view, known, task.camera, task.ball_radius, fit, contours, axis)
+    task.watch.lap("motion")
     return found, () if light is None else (light,)
 
 
-def first_motion(
-    view: StreakView,
-    image: LinearImage,
-    estimator: AlphaEstimator,
-    camera: Camera,
-    ball_radius: float,
-    watch: "Stopwatch",
-) -> tuple[Start, ProfileTable | None]:
-    """Find where the exact fit starts: at what the contours say, or at the opacity's moments.
-
-    The latter where the streak is too short for profiles, or turns a corner.
-
-    Returns:
-        The start, and the profiles where there are any.
-    """
-    refusal = None
-    if _length_in_widths(view) >= TRACEABLE:
-        try:
-            found, _ = follow_contours(view, image, estimator, camera, ball_radius, watch)
-        except ManyColours:
-            raise
-        except StreakError as error:
-            refusal = error
-        else:
-            return _start_at(found), profile_table(found.fit)
-    try:
-        rough = rough_motion(view, estimator, camera, ball_radius)
-    except StreakError as error:
-        raise refusal or error from None
-    watch.lap("rough motion")
-    return Start(path=rough.path, appearance=rough.colour, corner=rough.corner), None
+def report_contours(
+    task: Task, found: Reconstruction, cautions: tuple[Caution, ...]
+) -> Measurement:
+    """Report what the contours say, with its uncertainty."""
+    uncertainty = covariances(
+        found,
+        task.camera,
+        task.ball_radius,
+        ball_radius_std=task.ball_radius_std,
+        exposure_std_share=task.exposure_std_share,
+    )
+    _check_depth(found.motion, uncertainty)
+    result = describe(
+        found,
+        uncertainty,
+        ball_radius=task.ball_radius,
+        exposure=task.exposure,
+        drift=task.view.drift,
+    )
+    task.watch.lap("uncertainty")
+    return replace(result, warnings=(*result.warnings, *cautions))
 
 
-def _start_at(found: Reconstruction) -> Start:
+def close_start(found: Reconstruction) -> Start:
+    """Start the exact fit where the contours say that the ball was."""
     fit = found.fit
     return Start(
         path=found.motion.path,
@@ -194,9 +229,16 @@ def _start_at(found: Reconstruction) -> Start:
     )
 
 
-def _check_contours_inside(contours: Contours, image: LinearImage) -> None:
+def rough_start(task: Task) -> Start:
+    """Start it at the opacity's moments, where there are no profiles to tell more."""
+    rough = rough_motion(task.view, task.estimator, task.camera, task.ball_radius)
+    task.watch.lap("rough motion")
+    return Start(path=rough.path, appearance=rough.colour, corner=rough.corner)
+
+
+def _check_contours_inside(contours: Contours, size: tuple[int, int]) -> None:
     """Raise `StreakError` where a contour runs along or over the picture's border."""
-    border = torch.tensor([image.width - 1, image.height - 1], dtype=contours.points.dtype)
+    border = torch.tensor(size, dtype=contours.points.dtype) - 1
     is_inside = ((contours.points > 0) & (contours.points < border)).all(-1)
     if not bool(is_inside.all()):
         x, y = contours.points[~is_inside][0].tolist()
@@ -245,6 +287,7 @@ def _check_numbers(
     for name, value in positive.items():
         if not (math.isfinite(value) and value > 0):
             raise ConfigError(f"{name} is {value}; a positive number is needed")
+    check_readout(readout, exposure)
     others = {"ball radius std": ball_radius_std, "exposure std": exposure_std, "readout": readout}
     for name, value in others.items():
         if not (math.isfinite(value) and value >= 0):

@@ -5,12 +5,13 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from toolkit.alpha import AlphaEstimator
 from toolkit.sweep.fit import SweepFit, fit_sweep, outline
-from toolkit.sweep.misfit import look_for_misfit
+from toolkit.sweep.misfit import bulk_excess, look_for_misfit
 from toolkit.sweep.model import SweepModel, compare
 from toolkit.sweep.paths import PARABOLA, STRAIGHT, BouncePath, SplinePath, SweepPath
 from toolkit.sweep.pixels import Frame
-from toolkit.sweep.shade import TERMS, Shaded
+from toolkit.sweep.shade import Shaded
 
 EVIDENCE = 4.0
 """Chi-square that each further number must gain: three are added by chance once in a hundred."""
@@ -23,6 +24,10 @@ FINE, COARSE = 12.0, 7.0
 """Squares to the half width: where the path is chosen, and where a rough start is bettered."""
 LARGEST_SQUARE = 6
 """px, where the path is chosen."""
+STRAY = 0.35
+"""Half widths by which a richer path may leave the one told by contours."""
+MISFIT = 1.5
+"""Excess of the squared misfit from which noise is taken to be as large as the misfit."""
 SHADE_STD = 0.3
 """Prior standard deviation of a shade, over the mean signal of the streak."""
 COLOURS = 3
@@ -69,15 +74,32 @@ def most_likely_motion(frame: Frame, model: SweepModel, start: Start) -> SweepFi
         doubt = DOUBT * half_width if side > fine else 2.0 * fine
         fit = fit_sweep(model, x, frame, side=side, doubt=doubt)
         x = fit.parameters
+    excess = bulk_excess(fit.seen)
+    if excess > MISFIT:
+        frame = frame.noisier(excess)
+        fit = fit_sweep(model, x, frame, side=fine, doubt=2.0 * fine)
     fit = _shaded_if_asked(fit, frame, fine)
     while (richer := _asked_for(fit)) is not None:
         trial = fit_sweep(richer[0], richer[1], frame, side=fine, doubt=2.0 * fine)
+        if strays(trial, start) > STRAY:
+            break
         if _gain(fit, trial) < EVIDENCE * (trial.model.path.size - fit.model.path.size):
             break
         fit = trial
     if fine > 1:
         fit = fit_sweep(fit.model, fit.parameters, frame, doubt=1.0)
     return fit
+
+
+def strays(fit: SweepFit, start: Start) -> float:
+    """Give by how many half widths the path leaves a close start in the picture; else 0."""
+    if not start.is_close:
+        return 0.0
+    shape = fit.parameters[: fit.model.path.size]
+    points, _ = fit.model.path.arcs(shape).at(start.time)
+    camera = fit.model.camera
+    apart = torch.cdist(camera.project(points), camera.project(start.path)).amin(1)
+    return float(apart.max()) / outline(fit.model, fit.parameters)[1]
 
 
 def _descending(first: int, last: int) -> list[int]:
@@ -101,18 +123,35 @@ def _first_parameters(model: SweepModel, start: Start) -> Tensor:
 def _shaded_if_asked(fit: SweepFit, frame: Frame, side: int) -> SweepFit:
     """Let the ball be shaded where the whole streak misses alike, and the picture gains by it."""
     model = fit.model
-    channels = model.channels
-    if not look_for_misfit(fit).is_common or channels < COLOURS:
+    if not look_for_misfit(fit).is_common or model.channels < COLOURS:
         return fit
-    estimator = Shaded(estimator=model.estimator, channels=channels)
     bright = float(fit.pixels.signal[:, fit.seen.coverage.alpha > 0].abs().mean())
-    shaded = replace(model, estimator=estimator, shade_std=SHADE_STD * bright)
-    first = model.path.size + 1 + model.unknowns
-    none = torch.zeros(TERMS * channels, dtype=torch.float64)
+    shaded = replace(model, shade_std=SHADE_STD * bright)
+    trial = _with_shade(shaded, model.estimator, fit, frame, side)
+    new = trial.model.unknowns - model.unknowns
+    return trial if trial.converged and _gain(fit, trial) > EVIDENCE * new else fit
+
+
+def finer_shade(fit: SweepFit, frame: Frame) -> SweepFit | None:
+    """Fit a shade of twice as many terms; None where none was fitted at all."""
+    estimator = fit.model.estimator
+    if not isinstance(estimator, Shaded):
+        return None
+    frame = frame.noisier(fit.pixels.excess)
+    return _with_shade(fit.model, estimator, fit, frame, 1)
+
+
+def _with_shade(
+    model: SweepModel, estimator: AlphaEstimator, fit: SweepFit, frame: Frame, side: int
+) -> SweepFit:
+    """Fit the same with a further shade over the ball, starting from none."""
+    powers = Shaded.powers_above(estimator)
+    shaded = Shaded(estimator=estimator, channels=model.channels, powers=powers)
+    first = model.path.size + 1 + fit.model.unknowns
+    none = torch.zeros(len(powers) * model.channels, dtype=torch.float64)
     x = torch.cat([fit.parameters[:first], none, fit.parameters[first:]])
-    trial = fit_sweep(shaded, x, frame, side=side, doubt=2.0 * side)
-    gain = _gain(fit, trial)
-    return trial if trial.converged and gain > EVIDENCE * len(none) else fit
+    model = replace(model, estimator=shaded)
+    return fit_sweep(model, x, frame, side=side, doubt=2.0 * side)
 
 
 def _first_path(start: Start, ball_radius: float) -> SweepPath:

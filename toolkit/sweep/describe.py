@@ -18,6 +18,7 @@ from toolkit.measurement import (
     numbers,
 )
 from toolkit.motion import DEPTH, SPEED
+from toolkit.outline import outline
 from toolkit.result import (
     Check,
     due,
@@ -32,7 +33,8 @@ from toolkit.sweep.doubt import motion_of
 from toolkit.sweep.fit import SweepFit
 from toolkit.sweep.misfit import Misfit
 from toolkit.sweep.opacity import PIXEL_VARIANCE
-from toolkit.sweep.outline import draw_outline
+from toolkit.sweep.shade import Shaded
+from toolkit.sweep.still import SpeedLimit
 from toolkit.uncertainty import Uncertainty
 
 WARNED_MISFIT = 1.5
@@ -49,8 +51,8 @@ class SweepResult:
     misfit: Misfit
     uncertainty: Uncertainty
     sign: Sign | None = None  # where the readout tells something about it
-    still_below: float | None = None  # m per exposure: the ball may have stood still, 95 %
-    state_time: float | None = None  # s from the start of the first row's exposure
+    still_below: SpeedLimit | None = None  # the ball may have stood still
+    delay: float = 0.0  # s by which the ball's own row was exposed later than the first
 
 
 def describe_sweep(
@@ -71,9 +73,8 @@ def describe_sweep(
     fit, uncertainty = found.fit, found.uncertainty
     motion = motion_of(fit)
     std = uncertainty.total.diagonal().clamp_min(0).sqrt()
-    outline = draw_outline(
-        motion.path, motion.path_displacement, fit.model.camera, fit.model.ball_radius
-    )
+    camera, ball_radius = fit.model.camera, fit.model.ball_radius
+    left, right = outline(motion.path, motion.path_displacement, camera, ball_radius)
     is_still = found.still_below is not None
     measurement = Measurement(
         stage="sweep",
@@ -82,7 +83,7 @@ def describe_sweep(
         direction=None if is_still else numbers(unit_vector(motion.displacement)),
         sign=None if is_still else found.sign or open_sign(motion, exposure),
         trajectory=path_samples(motion, std, exposure),
-        contours=ContourPoints(left=numbers(outline[0]), right=numbers(outline[1])),
+        contours=ContourPoints(left=numbers(left), right=numbers(right)),
         profiles=profiles,
         budget=Budget(
             speed=None if exposure is None or is_still else shares(uncertainty, SPEED),
@@ -94,22 +95,32 @@ def describe_sweep(
     )
     if exposure is None:
         return measurement
-    measurement = with_speed(measurement, motion, uncertainty, exposure)
-    if found.state_time is not None:
-        measurement = replace(measurement, time_s=found.state_time)
+    measurement = _delayed(with_speed(measurement, motion, uncertainty, exposure), found.delay)
     if found.still_below is None:
         return measurement
     return replace(
         measurement,
-        speed_upper_m_s=found.still_below / exposure,
+        velocity_m_s=None,
+        speed_m_s=None,
         speed_std_m_s=None,
+        speed_upper_m_s=found.still_below.any_way / exposure,
         state_covariance=None,
     )
 
 
+def _delayed(measurement: Measurement, delay: float) -> Measurement:
+    """Count time from the start of the first row's exposure."""
+    path, time = measurement.trajectory, measurement.time_s
+    if not delay or time is None or path is None or path.time_s is None:
+        return measurement
+    later = replace(path, time_s=tuple(t + delay for t in path.time_s))
+    return replace(measurement, time_s=time + delay, trajectory=later)
+
+
 def _bound(found: SweepResult, exposure: float | None) -> Bound:
     """Give what no unbiased estimator could beat, and the share of it that was reached."""
-    variance = found.uncertainty.noise.diagonal() / found.misfit.factor
+    excess = found.misfit.factor * found.fit.pixels.excess
+    variance = found.uncertainty.noise.diagonal() / excess
     total = found.uncertainty.total.diagonal()
     is_known = exposure is not None and found.still_below is None
     return Bound(
@@ -125,7 +136,7 @@ def _summary(found: SweepResult) -> FitSummary:
     fit, misfit = found.fit, found.misfit
     _, spread, appearance, _, _ = fit.model.split(fit.parameters)
     return FitSummary(
-        chi2_per_dof=misfit.pixels,
+        chi2_per_dof=misfit.pixels * fit.pixels.excess,
         pixels=int((fit.seen.residual != 0).sum()),
         iterations=fit.iterations,
         appearance=numbers(appearance) if len(appearance) else None,
@@ -137,7 +148,8 @@ def _summary(found: SweepResult) -> FitSummary:
 
 
 def _cautions(found: SweepResult, exposure: float | None, drift: Tensor) -> tuple[Caution, ...]:
-    misfit = found.misfit
+    fit, misfit = found.fit, found.misfit
+    single = misfit.pixels * fit.pixels.excess
     checks: list[Check] = [
         (
             exposure is None,
@@ -152,17 +164,34 @@ def _cautions(found: SweepResult, exposure: float | None, drift: Tensor) -> tupl
         (
             found.still_below is not None,
             "may-stand-still",
-            "the streak is no longer than a ball at rest may leave, so that only an upper limit of "
-            "its speed is stated",
+            "the streak is no longer than a ball at rest may leave, so that no velocity is stated"
+            + _limits(found.still_below, exposure),
         ),
         (
-            misfit.significant or misfit.pixels > WARNED_MISFIT,
+            isinstance(fit.model.estimator, Shaded),
+            "shade-fitted",
+            "the ball is shaded, which its estimator knows nothing of; a smooth shade was fitted, "
+            "and the uncertainties are widened by what a less smooth one would change; "
+            "known-shading or two-colour may suit the ball better",
+        ),
+        (
+            misfit.significant or single > WARNED_MISFIT,
             "streak-misfit",
             "the streak differs from that of such a ball by more than noise: "
-            f"{misfit.pixels:.2f} times its variance in single pixels, {misfit.patches:.1f} in "
-            f"patches, {misfit.lanes:.1f} along the whole streak (shading, a pattern, a changed "
-            "background, a wrong colour or response, compression); the uncertainties are widened",
+            f"{single:.2f} times its variance in single pixels, {misfit.patches:.1f} in "
+            f"patches of what is left, {misfit.lanes:.1f} along the whole streak (shading, a "
+            "pattern, a changed background, a wrong colour or response, compression); "
+            "the uncertainties are widened",
         ),
         light_check(drift),
     ]
     return due(checks)
+
+
+def _limits(limit: SpeedLimit | None, exposure: float | None) -> str:
+    if limit is None or exposure is None:
+        return ""
+    return (
+        f"; it went at most {limit.any_way / exposure:.3g} m/s, at most "
+        f"{limit.across / exposure:.3g} m/s across the line of sight (95 %)"
+    )

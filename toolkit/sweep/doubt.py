@@ -47,6 +47,7 @@ def sweep_uncertainty(
     fit: SweepFit,
     misfit: Misfit,
     *,
+    finer: SweepFit | None,
     ball_radius_std: float,
     exposure_std_share: float,
     response_change: Tensor | None,
@@ -59,6 +60,8 @@ def sweep_uncertainty(
     Args:
         fit: the most likely motion.
         misfit: widens what comes from noise.
+        finer: the same with a less smooth shade, where one was fitted: what it changes is taken for
+            one standard deviation.
         ball_radius_std: m.
         exposure_std_share: standard deviation of the exposure over itself.
         response_change: of signal less ground behind alpha [Q, N], for one standard deviation of
@@ -75,10 +78,10 @@ def sweep_uncertainty(
     by_response = torch.zeros_like(state)
     if response_change is not None:
         by_response = J @ _answer_to_response(fit, response_change)[:k]
-    nothing = torch.zeros(len(state), len(state), dtype=state.dtype)
+    by_order = torch.zeros_like(state) if finer is None else motion_of(finer).state() - state
     return Uncertainty(
         noise=J @ fit.path_covariance @ J.mT * misfit.factor,
-        order=nothing,
+        order=torch.outer(by_order, by_order),
         camera=_camera_covariance(fit, J),
         radius=torch.outer(by_radius, by_radius),
         exposure=torch.outer(by_exposure, by_exposure),

@@ -17,7 +17,7 @@ ROUGHLY = 0.05
 """The same on coarse squares."""
 FIRST_DAMPING = 1e-4
 SMALLEST_SPREAD = 0.02
-LARGEST_SPREAD = 30.0
+LARGEST_SPREAD = 9.0
 """px^2, of lens and pixel; the pixel's own area counts for 1/12."""
 PATH_POINTS = 33
 
@@ -78,17 +78,19 @@ def search(
 ) -> SweepFit:
     """Search by damped Gauss-Newton steps until one promises hardly any gain."""
     x, seen, damping = start, compare(model, start, pixels), FIRST_DAMPING
-    converged, iterations = False, 0
+    converged, iterations, k = False, 0, model.path.size
     while iterations < MAX_STEPS:
         step, gain = seen.step(damping)
+        bounded = (x[k] + step[k]).clamp(SMALLEST_SPREAD, LARGEST_SPREAD) - x[k]
+        if float(bounded) != float(step[k]):
+            step, gain = seen.step(damping, held=(k, float(bounded)))
         if gain < tolerance:
             converged = math.isfinite(seen.cost)
             break
         iterations += 1
-        candidate = _within_bounds(model, x + step)
-        trial = compare(model, candidate, pixels)
+        trial = compare(model, x + step, pixels)
         if trial.cost <= seen.cost:
-            x, seen, damping = candidate, trial, damping * 0.1
+            x, seen, damping = x + step, trial, damping * 0.1
         else:
             damping = max(damping * 10, 1e-2)
     return SweepFit(
@@ -99,13 +101,6 @@ def search(
         converged=converged,
         iterations=iterations,
     )
-
-
-def _within_bounds(model: SweepModel, x: Tensor) -> Tensor:
-    k = model.path.size
-    x = x.clone()
-    x[k] = x[k].clamp(SMALLEST_SPREAD, LARGEST_SPREAD)
-    return x
 
 
 def outline(model: SweepModel, x: Tensor) -> tuple[Tensor, float]:

@@ -22,6 +22,8 @@ CHANCE = 3.5
 """Standard deviations by which a mean square may exceed 1 by chance."""
 COVERED = 1e-4
 """Opacity from which a pixel counts as covered."""
+HALF_OF_NORMAL = 0.6745
+"""Standard deviations within which half of normal noise lies."""
 FEWEST = 6
 """Patches from which there is something to be said."""
 
@@ -50,6 +52,14 @@ def excess_of(seen: Comparison) -> float:
     is_used = (seen.coverage.alpha > COVERED) & (seen.residual != 0)
     used = int(is_used.sum())
     return max(1.0, float((seen.residual**2 * is_used).sum()) / max(used, 1))
+
+
+def bulk_excess(seen: Comparison) -> float:
+    """Give the same of the bulk of the pixels, whatever a few do, at least 1."""
+    is_covered = seen.coverage.alpha > COVERED
+    size = seen.residual[:, is_covered].abs()
+    used = size[size > 0]
+    return max(1.0, float(used.median() / HALF_OF_NORMAL) ** 2) if len(used) else 1.0
 
 
 def look_for_misfit(fit: SweepFit) -> Misfit:

@@ -27,7 +27,7 @@ from toolkit.sweep.colours import (
 from toolkit.sweep.opacity import ArcOpacity, Passage, arc_opacity
 from toolkit.sweep.paths import SweepPath
 from toolkit.sweep.pixels import StreakPixels
-from toolkit.sweep.shade import TERMS
+from toolkit.sweep.shade import Shaded
 
 HUBER = 3.5
 """Standard deviations beyond which a pixel's misfit counts linearly."""
@@ -195,10 +195,24 @@ class Comparison:
             pull[at] += J @ change[q]
         return solve_information(self.information, pull)
 
-    def step(self, damping: float = 0.0) -> tuple[Tensor, float]:
-        """Give the Gauss-Newton step [P] and the chi-square that it promises."""
-        step = solve_information(self.information, -self.gradient, damping)
-        return step, float(-step @ self.gradient)
+    def step(
+        self, damping: float = 0.0, held: tuple[int, float] | None = None
+    ) -> tuple[Tensor, float]:
+        """Give the Gauss-Newton step [P] and the chi-square that it promises.
+
+        Args:
+            damping: of the information scaled to a unit diagonal.
+            held: a parameter and the step that it must take.
+        """
+        if held is None:
+            step = solve_information(self.information, -self.gradient, damping)
+            return step, float(-step @ self.gradient)
+        index, size = held
+        free = torch.arange(len(self.gradient)) != index
+        pull = -self.gradient - self.information[:, index] * size
+        step = torch.full_like(self.gradient, size)
+        step[free] = solve_information(self.information[free][:, free], pull[free], damping)
+        return step, float(step @ (-2 * self.gradient - self.information @ step))
 
 
 def compare(
@@ -253,8 +267,8 @@ def compare(
     information[shared:, shared:] += beside.information
     cost += beside.cost + float(gains @ (2 * beside.gradient + beside.information @ gains))
     cost += _add_priors(gradient, information, gains, shared)
-    if model.shade_std:
-        last = slice(shared - TERMS * channels, shared)
+    if isinstance(model.estimator, Shaded):
+        last = slice(shared - model.estimator.shades, shared)
         gradient[last] += x[last] / model.shade_std**2
         information.diagonal()[last] += model.shade_std**-2
         cost += float((x[last] ** 2).sum()) / model.shade_std**2

@@ -69,6 +69,7 @@ class StreakPixels:
     ground_variance: Tensor  # [Q, N]
     beside: Beside
     side: int = 1  # px of each square
+    excess: float = 1.0  # by which the variances exceed the camera's noise
 
     @property
     def area_variance(self) -> float:
@@ -91,6 +92,8 @@ class Frame:
     shot_variance: Tensor
     ground_variance: Tensor
     camera: Camera
+    excess: float = 1.0
+    """By which the variances exceed the camera's noise, since the model misses by as much."""
 
     @classmethod
     def of(cls, view: StreakView, estimator: AlphaEstimator, camera: Camera) -> "Frame":
@@ -109,6 +112,15 @@ class Frame:
             shot_variance=own,
             ground_variance=ground_variance,
             camera=camera,
+        )
+
+    def noisier(self, factor: float) -> "Frame":
+        """Give the same with all variances multiplied."""
+        return replace(
+            self,
+            shot_variance=self.shot_variance * factor,
+            ground_variance=self.ground_variance * factor,
+            excess=self.excess * factor,
         )
 
     def about(
@@ -150,6 +162,7 @@ class Frame:
             ground_variance=empty,
             beside=Beside.of(*(m.flatten(1)[:, beside].double() for m in maps)),
             side=side,
+            excess=self.excess,
         )
 
 

@@ -10,12 +10,12 @@ from toolkit.alpha import AlphaEstimator
 from toolkit.camera import Camera
 from toolkit.errors import StreakError
 from toolkit.measurement import Alternative, Sign, numbers
-from toolkit.sweep.choose import Start, most_likely_motion
+from toolkit.sweep.choose import Start, finer_shade, most_likely_motion, strays
 from toolkit.sweep.describe import SweepResult
 from toolkit.sweep.doubt import motion_of, sweep_uncertainty
-from toolkit.sweep.fit import SweepFit
-from toolkit.sweep.misfit import look_for_misfit
-from toolkit.sweep.model import SweepModel
+from toolkit.sweep.fit import SweepFit, outline
+from toolkit.sweep.misfit import Misfit, look_for_misfit
+from toolkit.sweep.model import SweepModel, compare
 from toolkit.sweep.paths import STRAIGHT
 from toolkit.sweep.pixels import Frame
 from toolkit.sweep.still import looks_still, speed_limit
@@ -26,6 +26,10 @@ ASSUMED_EXPONENT_STD = 0.05
 """Standard deviation of the exponent of a response that was assumed from the kind of file."""
 NAMED_EXPONENT_STD = 0.02
 """The same of one that somebody named: real cameras follow no curve exactly."""
+UNEXPLAINED = 10.0
+"""Squared misfit over noise from which the exact image is not that of the ball."""
+STRAYED = 0.5
+"""Half widths by which the likeliest path may leave the one told by contours."""
 DECIDED = 0.99
 """Probability from which the sign of the motion counts as decided."""
 
@@ -45,11 +49,9 @@ class Shutter:
             return 0.0
         return self.readout / (self.rows - 1) / self.exposure
 
-    def time_of(self, row: float) -> float | None:
-        """Time at which the middle of a row's exposure came, s from the first row's start."""
-        if self.exposure is None:
-            return None
-        return row * self.row_delay * self.exposure + self.exposure / 2
+    def delay_of(self, row: float) -> float:
+        """Time by which a row was exposed later than the first, s."""
+        return row * self.row_delay * (self.exposure or 0.0)
 
 
 def refine(
@@ -95,10 +97,12 @@ def refine(
             "measure with --stage contours, or name a region that holds the whole streak"
         )
     misfit = look_for_misfit(fit)
+    _check_explained(fit, misfit, start)
     change = _response_change(view, estimator, frame, fit)
     uncertainty = sweep_uncertainty(
         fit,
         misfit,
+        finer=finer_shade(fit, frame),
         ball_radius_std=ball_radius_std,
         exposure_std_share=exposure_std_share,
         response_change=change,
@@ -109,8 +113,25 @@ def refine(
         uncertainty=uncertainty,
         sign=sign,
         still_below=speed_limit(fit, misfit) if looks_still(fit, misfit) else None,
-        state_time=shutter.time_of(middle_row) if shutter.row_delay else None,
+        delay=shutter.delay_of(middle_row),
     )
+
+
+def _check_explained(fit: SweepFit, misfit: Misfit, start: Start) -> None:
+    """Raise `StreakError` where the picture is of something else, or the path ran away."""
+    miss = misfit.pixels * fit.pixels.excess
+    if miss > UNEXPLAINED:
+        raise StreakError(
+            f"no motion of such a ball explains the streak: {miss:.0f} times the noise is left "
+            "(a pattern, light that changes along the path, a changed background); another "
+            "estimator may suit the ball, and --estimator auto tries all"
+        )
+    strayed = strays(fit, start)
+    if strayed > STRAYED:
+        raise StreakError(
+            f"the exact streak runs away from its contours, by {strayed:.1f} half widths; "
+            "something else than the ball may lie beside it"
+        )
 
 
 def _both_ways(
@@ -120,9 +141,9 @@ def _both_ways(
     if not shutter.row_delay:
         return most_likely_motion(frame, model, start), None
     fits = [most_likely_motion(frame, model, _delayed(start, model, sign)) for sign in (1.0, -1.0)]
-    fits.sort(key=lambda fit: fit.seen.cost)
-    best, other = fits
-    odds = math.exp(min((other.seen.cost - best.seen.cost) / 2, 700.0))
+    lead = _lead(fits[0], fits[1], frame)
+    best, other = fits if lead >= 0 else fits[::-1]
+    odds = math.exp(min(abs(lead) / 2, 700.0))
     probability = odds / (1 + odds)
     motion = motion_of(other)
     reverse = Alternative(
@@ -139,6 +160,15 @@ def _both_ways(
         cue="readout" if is_decided else None,
         alternatives=(reverse,),
     )
+
+
+def _lead(first: SweepFit, second: SweepFit, frame: Frame) -> float:
+    """Give the chi-square by which one fit beats another, all pixels of either compared."""
+    outlines = [outline(fit.model, fit.parameters) for fit in (first, second)]
+    middle = torch.cat([outlines[0][0], outlines[1][0].flip(0)])
+    pixels = frame.noisier(first.pixels.excess).about(middle, max(size for _, size in outlines))
+    costs = [compare(fit.model, fit.parameters, pixels).cost for fit in (first, second)]
+    return (costs[1] - costs[0]) / look_for_misfit(first).factor
 
 
 def _delayed(start: Start, model: SweepModel, sign: float) -> Start:

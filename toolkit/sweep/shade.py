@@ -14,9 +14,6 @@ from torch import Tensor
 from toolkit.alpha import AlphaEstimator, Chord, Observation
 from toolkit.types import LinearImage, NoiseModel
 
-TERMS = 2
-"""Powers of the chord's offset in each channel: one leans, the other darkens or lights both rims."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Shaded(AlphaEstimator):
@@ -24,6 +21,20 @@ class Shaded(AlphaEstimator):
 
     estimator: AlphaEstimator
     channels: int
+    powers: tuple[int, ...] = (1, 2)
+    """Of the chord's offset: the first leans, the second darkens or lights both rims."""
+
+    @staticmethod
+    def powers_above(estimator: AlphaEstimator) -> tuple[int, ...]:
+        """Give the next two powers that an estimator's shade leaves out."""
+        first = estimator.powers[-1] + 1 if isinstance(estimator, Shaded) else 1
+        return (first, first + 1)
+
+    @property
+    def shades(self) -> int:
+        """Numbers of the shade, and of one below it."""
+        below = self.estimator.shades if isinstance(self.estimator, Shaded) else 0
+        return below + len(self.powers) * self.channels
 
     def observe(
         self, image: LinearImage, background: LinearImage, noise: NoiseModel
@@ -33,7 +44,7 @@ class Shaded(AlphaEstimator):
 
     def unknowns(self) -> int:
         """Those of the other, and the shade's."""
-        return self.estimator.unknowns() + TERMS * self.channels
+        return self.estimator.unknowns() + len(self.powers) * self.channels
 
     def foreground(self, chord: Chord, appearance: Tensor | None) -> Tensor:
         """Give the other's colour and the shade on top of it."""
@@ -48,8 +59,11 @@ class Shaded(AlphaEstimator):
         colour, slope = self.estimator.foreground_and_slope(chord, looks)
         if appearance is None:
             return colour, slope
-        lean, rims = appearance[known:].to(colour).reshape(TERMS, self.channels)
         s = chord.offset[..., None].to(colour)
-        change = lean + 2 * s * rims
-        shade = lean * s + rims * (s * s - 0.5)
-        return colour + shade, change.expand_as(colour) if slope is None else slope + change
+        change = torch.zeros_like(colour)
+        rows = appearance[known:].to(colour).reshape(len(self.powers), self.channels)
+        for power, row in zip(self.powers, rows, strict=True):
+            even = 1 / (power + 1) if power % 2 == 0 else 0.0
+            colour = colour + row * (s**power - even)
+            change = change + row * power * s ** (power - 1)
+        return colour, change if slope is None else slope + change

@@ -5,6 +5,7 @@ no standard deviation tells the truth there. Speeds are tried one by one instead
 """
 
 import math
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -37,10 +38,23 @@ def looks_still(fit: SweepFit, misfit: Misfit) -> bool:
     return at_rest - fit.seen.cost < TOLD_FROM_REST * misfit.factor
 
 
-def speed_limit(fit: SweepFit, misfit: Misfit) -> float:
-    """Give the speed that the ball hardly exceeded, m per exposure: 95 % by profile likelihood."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpeedLimit:
+    """What the ball hardly exceeded, m per exposure: 95 % by profile likelihood."""
+
+    any_way: float
+    across: float  # the line of sight
+
+
+def speed_limit(fit: SweepFit, misfit: Misfit) -> SpeedLimit:
+    """Find how fast the ball can have been at most, whichever way it went."""
     allowed = fit.seen.cost + LIMIT * misfit.factor
-    return max(_limit_along(fit, direction, allowed) for direction in _directions(fit))
+    flat, other = _directions(fit)
+    across = max(_limit_along(fit, direction, allowed) for direction in flat)
+    return SpeedLimit(
+        any_way=max(across, *(_limit_along(fit, direction, allowed) for direction in other)),
+        across=across,
+    )
 
 
 def _limit_along(fit: SweepFit, direction: Tensor, allowed: float) -> float:
@@ -85,8 +99,8 @@ def _cost_with(fit: SweepFit, displacement: Tensor) -> float:
     return float(solution.cost[0])
 
 
-def _directions(fit: SweepFit) -> list[Tensor]:
-    """Give unit vectors in the picture's plane, along the line of sight and between."""
+def _directions(fit: SweepFit) -> tuple[list[Tensor], list[Tensor]]:
+    """Give unit vectors across the line of sight, and along it and between."""
     position, _ = fit.state()
     ahead = torch.nn.functional.normalize(position, dim=0)
     right = torch.nn.functional.normalize(
@@ -96,7 +110,7 @@ def _directions(fit: SweepFit) -> list[Tensor]:
     angles = [math.pi * k / DIRECTIONS for k in range(DIRECTIONS)]
     flat = [right * math.cos(angle) + down * math.sin(angle) for angle in angles]
     slanted = [torch.nn.functional.normalize(d + s * ahead, dim=0) for d in flat for s in (-4, 4)]
-    return [ahead, *flat, *slanted]
+    return flat, [ahead, *slanted]
 
 
 def _toward(fit: SweepFit) -> Tensor:
