@@ -8,9 +8,7 @@ colour. [derived]
 import torch
 
 from toolkit.alpha import AlphaEstimator, Chord
-from toolkit.profiles import gather_profiles
-from toolkit.types import Appearance
-from toolkit.view import StreakView
+from toolkit.types import Appearance, Profiles
 
 CORE = 0.5
 """Half widths about the axis in which pixels are looked at: nearer the rim little is covered."""
@@ -20,19 +18,24 @@ ERROR = 0.2
 """Relative standard deviation of an opacity guessed from a rough length and width."""
 
 
-def guess_appearance(view: StreakView, estimator: AlphaEstimator) -> Appearance:
-    """Guess the unknowns of an estimator, which the signal is linear in, by least squares."""
-    axis, half_width = view.streak.axis, float(view.streak.half_width)
-    profiles = gather_profiles(
-        view.observation, view.clipped, axis, CORE * half_width, corner=view.corner
-    )
+def guess_appearance(
+    profiles: Profiles, half_width: float, estimator: AlphaEstimator
+) -> Appearance:
+    """Guess the unknowns of an estimator, which the signal is linear in, by least squares.
+
+    Args:
+        profiles: of one picture, across the rough axis from tip to tip.
+        half_width: rough, px.
+        estimator: with unknowns.
+    """
     length = float(profiles.position[0, -1])
     travel = max(length - 2 * half_width, half_width)
     inner = (profiles.position[0] - length / 2).abs() < MIDDLE * length / 2
     share = profiles.offset[0, inner] / half_width
     opacity = min(2 * half_width / travel, 1.0)
     alpha = (opacity * (1 - share * share).clamp_min(0).sqrt())[..., None]
-    weight = profiles.valid[0, inner][..., None] / profiles.variance[0, inner]
+    is_core = profiles.valid[0, inner] & (share.abs() <= CORE)
+    weight = is_core[..., None] / profiles.variance[0, inner]
     chord = Chord(offset=share, direction=profiles.direction[0, inner][:, None])
     count = estimator.unknowns()
     at_zero = estimator.foreground(chord, torch.zeros(count, dtype=share.dtype))

@@ -9,8 +9,8 @@ import torch
 
 from toolkit.alpha import AlphaEstimator
 from toolkit.contours import smooth_parameters
-from toolkit.profile_model import OWN, ProfileModel, Skew
-from toolkit.types import ProfileFit, Profiles
+from toolkit.profile_model import OWN, ProfileModel, Skew, WhitePixels
+from toolkit.types import ProfileFit
 
 MISSHAPEN = 3.0
 """What noise alone never leaves."""
@@ -34,23 +34,23 @@ def misfit_variance(fit: ProfileFit) -> float:
 
 
 def common_misfit(
-    profiles: Profiles, fit: ProfileFit, estimator: AlphaEstimator, skew: Skew
+    pixels: WhitePixels, fit: ProfileFit, estimator: AlphaEstimator, skew: Skew
 ) -> float:
     """Give the mean over places across the streak of the squared mean residual of all profiles.
 
     It is in variances of that mean: 1 where only noise is left over.
 
     Args:
-        profiles: of one picture, what was fitted.
+        pixels: of one picture, what was fitted.
         fit: the final fit; flagged profiles are left out.
         estimator: settled.
         skew: what was known of each profile's skew.
     """
-    model = ProfileModel.of(profiles, estimator, skew, profiles.ground)
+    model = ProfileModel.of(pixels, estimator, skew)
     rows = fit.good.flatten().nonzero()[:, 0]
     x = smooth_parameters(fit)[rows]
     residual, weight = model.residuals(x[:, :OWN], rows, fit.blur)
-    share = (profiles.offset[0, rows] - x[:, :1]) / x[:, 1:2]
+    share = (pixels.offset[rows] - x[:, :1]) / x[:, 1:2]
     place = ((share / REACH + 1) / 2 * BINS).floor().long()
     inside = (place >= 0) & (place < BINS)
     weight = weight * inside[:, None]

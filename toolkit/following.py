@@ -9,7 +9,6 @@ from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator
 from toolkit.axis_curve import AxisFit, graze_residual, to_centre, whitening
-from toolkit.box_filter import box_mean
 from toolkit.camera import Camera
 from toolkit.contours import length_in_widths
 from toolkit.ends import Ends, Surroundings, locate_ends, rough_ends
@@ -193,9 +192,7 @@ def surroundings(view: StreakView, estimator: AlphaEstimator) -> Surroundings:
     The ground is that of the neighbours: with its own noise in both contrast and signal a pixel
     would look covered a little, by noise over contrast, squared.
     """
-    seen = view.observation
-    # demosaicing spreads a pixel's noise over the inner 3 x 3
-    around = (49 * box_mean(seen.ground, 7) - 9 * box_mean(seen.ground, 3)) / 40
+    seen, around = view.observation, view.smooth_ground
     return Surroundings(
         estimator=estimator,
         signal=(seen.signal - seen.ground + around)[0],

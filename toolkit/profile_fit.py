@@ -1,15 +1,15 @@
 """Fitting the semi-ellipse to every profile at once."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator, Chord
-from toolkit.least_squares import Solution, invert_information, minimise_equations
-from toolkit.profile_model import OWN, ProfileModel, Skew
+from toolkit.least_squares import invert_information, minimise_equations
+from toolkit.profile_model import OWN, ProfileModel, Skew, WhitePixels
 from toolkit.semi_ellipse import start_from_moments
-from toolkit.types import Appearance, ProfileFit, ProfileFlag, Profiles
+from toolkit.types import ProfileFit, ProfileFlag, Profiles
 
 START_BLUR = 0.8
 """px, of pixel and a sharp lens together."""
@@ -19,11 +19,32 @@ BLUR_ROUNDS = 3
 """Updates of the blur all profiles of a picture share; each is a Newton step, so three do."""
 BLUR_SETTLED = 0.02
 """px."""
+LONGEST_BLUR_STEP = 0.5
+"""px."""
 MAX_ITERATIONS = 15
 MIN_SIGNIFICANCE = 3.0
 """Opacity over its own standard deviation below which a profile says nothing."""
 MIN_VALID_SHARE = 0.8
 """Share of a profile's pixels that must be usable."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Start:
+    """Where a search begins."""
+
+    parameters: Tensor  # [B, P, 4] centre, half width, opacity, skew
+    blur: Tensor  # [B] px
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """Where the minima of E profiles lie."""
+
+    parameters: Tensor  # [E, 4]
+    cost: Tensor  # [E]
+    covariance: Tensor  # [E, 4, 4]
+    converged: Tensor  # [E] bool
+    blur: Tensor  # [B] px
 
 
 def fit_profiles(
@@ -34,6 +55,7 @@ def fit_profiles(
     skew: Skew | None = None,
     tolerance: float = 0.05,
     blur_rounds: int = BLUR_ROUNDS,
+    start: Start | None = None,
 ) -> ProfileFit:
     """Fit centre, half width and opacity of every profile by batched Gauss-Newton.
 
@@ -49,15 +71,19 @@ def fit_profiles(
         half_width: a rough half width [B] px that bounds the first guess.
         skew: what is known of each profile's skew; none, when None.
         tolerance: steps below this share of each standard deviation end a profile's search.
-        blur_rounds: how often the blur is improved.
+        blur_rounds: how often the blur is improved, but for the last time; 1 leaves it as it is.
+        start: where to start instead of a first guess.
 
     Returns:
         ProfileFit; profiles that failed carry flags.
     """
-    model = ProfileModel.of(profiles, estimator, skew, profiles.ground)
+    model = ProfileModel.of(WhitePixels.of(profiles), estimator, skew)
     reach = float(profiles.offset.max())
-    x = _first_guess(profiles, estimator, half_width, model.skew_mean)
-    blur = torch.full((len(profiles.position),), START_BLUR, dtype=torch.float64)
+    if start is None:
+        x = _first_guess(profiles, estimator, half_width, model.skew_mean)
+        blur = torch.full((len(profiles.position),), START_BLUR, dtype=torch.float64)
+    else:
+        x, blur = start.parameters.reshape(-1, OWN), start.blur
     iterations = 0
     for _ in range(blur_rounds):
         solution = minimise_equations(
@@ -73,10 +99,18 @@ def fit_profiles(
         if blur_rounds == 1:
             break
         better_blur = _improve_blur(model, x, blur, solution.converged)
-        if bool(((better_blur - blur).abs() < BLUR_SETTLED).all()):
-            break
+        is_settled = bool(((better_blur - blur).abs() < BLUR_SETTLED).all())
         blur = better_blur
-    return _finish(profiles, solution, blur, iterations)
+        if is_settled:
+            break
+    found = Found(
+        parameters=x,
+        cost=solution.cost,
+        covariance=solution.covariance,
+        converged=solution.converged,
+        blur=blur,
+    )
+    return describe_fit(profiles, found, iterations)
 
 
 def refine_profiles(
@@ -85,6 +119,7 @@ def refine_profiles(
     fit: ProfileFit,
     about: Tensor,
     skew: Skew | None = None,
+    pixels: WhitePixels | None = None,
 ) -> ProfileFit:
     """Fit every profile again by one linear step from where its neighbours say it should lie.
 
@@ -93,7 +128,7 @@ def refine_profiles(
     the noise, from parameters smoothed over many profiles and weighed by them, has neither fault.
     The background is noisy as well, and enters both residual and Jacobian; a Jacobian from the
     smoothed background keeps the two uncorrelated, without which every streak comes out wider. The
-    blur takes its step from here too. [derived]
+    blur takes its step along with them. [derived]
 
     Args:
         profiles: what was fitted.
@@ -101,74 +136,68 @@ def refine_profiles(
         fit: the fit so far; profiles flagged in it, but for NOT_CONVERGED, stay as they are.
         about: smooth (centre, half width, opacity, skew) of all profiles [B, P, 4].
         skew: what is known of each profile's skew; none, when None.
+        pixels: those of the profiles, where they are weighed already.
     """
-    model = ProfileModel.of(profiles, estimator, skew, profiles.smooth_ground)
+    pixels = WhitePixels.of(profiles) if pixels is None else pixels
+    model = ProfileModel.of(pixels, estimator, skew, is_smooth=True)
     x = about.reshape(-1, OWN)
-    # a step that needs no search takes those along whose search did not settle
-    is_open = (fit.flags & ~int(ProfileFlag.NOT_CONVERGED)) == 0
-    blur = _improve_blur(model, x, fit.blur, is_open.flatten())
-    there = minimise_equations(model.own_equations(blur), x, max_iterations=0)
-    step = (there.covariance @ there.gradient[..., None])[..., 0]
-    moved = replace(
-        there,
-        parameters=torch.where(is_open.flatten()[:, None], x - step, x),
-        converged=torch.ones_like(there.converged),
-    )
-    refined = _finish(profiles, moved, blur, fit.iterations + 1)
-    return replace(
-        refined,
-        centre=torch.where(is_open, refined.centre, fit.centre),
-        half_width=torch.where(is_open, refined.half_width, fit.half_width),
-        opacity=torch.where(is_open, refined.opacity, fit.opacity),
-        skew=torch.where(is_open, refined.skew, fit.skew),
-        covariance=torch.where(is_open[..., None, None], refined.covariance, fit.covariance),
-        flags=torch.where(is_open, refined.flags, fit.flags),
-        appearance=fit.appearance,
-    )
+    cost, gradient, information = model.equations(x, torch.arange(len(x)), fit.blur)
+    covariance = invert_information(information[:, :OWN, :OWN])
+    blur_step = _blur_step(gradient, information, covariance, is_open(fit).flatten(), fit.blur)
+    return step_from(profiles, fit, x, cost, gradient, information, covariance, blur_step)
 
 
-def improve_appearance(
+def is_open(fit: ProfileFit) -> Tensor:
+    """Tell which profiles may still be fitted again [B, P].
+
+    A step that needs no search takes those along whose search did not settle.
+    """
+    return (fit.flags & ~int(ProfileFlag.NOT_CONVERGED)) == 0
+
+
+def step_from(
     profiles: Profiles,
-    estimator: AlphaEstimator,
-    guess: Appearance,
-    values: Tensor,
     fit: ProfileFit,
-    about: Tensor,
-    skew: Skew | None = None,
-) -> Appearance:
-    """Take one Gauss-Newton step in the unknowns of the ball's appearance.
-
-    Every profile's own parameters and the blur are projected out: what remains to tell a colour
-    from the opacity is how a varying background shines through. As in `refine_profiles` the
-    Jacobian sees the smoothed background, without which its noise would count as variation.
-    [derived]
+    x: Tensor,
+    cost: Tensor,
+    gradient: Tensor,
+    information: Tensor,
+    covariance: Tensor,
+    shared_step: Tensor,
+) -> ProfileFit:
+    """Step to the minimum of the normal equations, whose shared parameters have taken their step.
 
     Args:
-        profiles: of one picture.
-        estimator: with unknowns, not settled.
-        guess: from elsewhere, a weak prior.
-        values: to step from [A].
-        fit: the fit so far, settled on some appearance near by.
-        about: smooth (centre, half width, opacity, skew) of all profiles [B, P, 4].
-        skew: what is known of each profile's skew; none, when None.
+        profiles: what was fitted.
+        fit: the fit so far.
+        x: own parameters about which the equations stand [E, 4].
+        cost: there [E].
+        gradient: [E, 4 + U], the blur being the first of U shared parameters.
+        information: [E, 4 + U, 4 + U].
+        covariance: inverse of the own part [E, 4, 4].
+        shared_step: of blur and what is behind it [B, U].
     """
-    model = ProfileModel.of(profiles, estimator.settled(values), skew, profiles.smooth_ground)
-    rows = fit.good.flatten().nonzero()[:, 0]
-    x = about.reshape(-1, OWN)[rows]
-    J_foreground = model.J_appearance(estimator, x, rows)
-    gradient, information = model.full_equations(x, rows, fit.blur, J_foreground)
-    own, shared = slice(None, OWN), slice(OWN, None)
-    gain = invert_information(information[:, own, own]) @ information[:, own, shared]
-    slope = (gradient[:, shared] - (gain.mT @ gradient[:, own, None])[..., 0]).sum(0)
-    curvature = (information[:, shared, shared] - gain.mT @ information[:, own, shared]).sum(0)
-    slope[1:] += (values - guess.values) / guess.std**2
-    curvature[1:, 1:] += torch.eye(len(values), dtype=curvature.dtype) / guess.std**2
-    covariance = torch.linalg.inv(curvature)
-    per_opacity = (gain[:, 2] / x[:, 2:3]).mean(0)
-    return Appearance(
-        values=values - (covariance @ slope)[1:],
-        std=guess.std,
-        opacity_std=float((per_opacity @ covariance @ per_opacity).sqrt()),
+    each = shared_step.repeat_interleave(len(x) // len(shared_step), 0)[..., None]
+    pull = gradient[:, :OWN, None] + information[:, :OWN, OWN:] @ each
+    open_rows = is_open(fit)
+    step = torch.where(open_rows.flatten()[:, None], (covariance @ pull)[..., 0], 0)
+    found = Found(
+        parameters=x - step,
+        cost=cost,
+        covariance=covariance,
+        converged=torch.ones(len(x), dtype=torch.bool),
+        blur=fit.blur + shared_step[:, 0],
+    )
+    refined = describe_fit(profiles, found, fit.iterations + 1)
+    return replace(
+        refined,
+        centre=torch.where(open_rows, refined.centre, fit.centre),
+        half_width=torch.where(open_rows, refined.half_width, fit.half_width),
+        opacity=torch.where(open_rows, refined.opacity, fit.opacity),
+        skew=torch.where(open_rows, refined.skew, fit.skew),
+        covariance=torch.where(open_rows[..., None, None], refined.covariance, fit.covariance),
+        flags=torch.where(open_rows, refined.flags, fit.flags),
+        appearance=fit.appearance,
     )
 
 
@@ -201,31 +230,42 @@ def _first_guess(
 def _improve_blur(model: ProfileModel, x: Tensor, blur: Tensor, used: Tensor) -> Tensor:
     """Take one Gauss-Newton step in the blur [B], every profile's own parameters projected out."""
     _, gradient, information = model.equations(x, torch.arange(len(x)), blur)
-    inverse = invert_information(information[:, :OWN, :OWN])
-    usable = torch.isfinite(inverse).all(-1).all(-1) & used
-    inverse = torch.where(usable[:, None, None], inverse, 0)
+    covariance = invert_information(information[:, :OWN, :OWN])
+    return blur + _blur_step(gradient, information, covariance, used, blur)[:, 0]
+
+
+def _blur_step(
+    gradient: Tensor, information: Tensor, covariance: Tensor, used: Tensor, blur: Tensor
+) -> Tensor:
+    """Give the step of the blur [B, 1]; `covariance` is the inverse of the own information."""
+    usable = torch.isfinite(covariance).all(-1).all(-1) & used
+    inverse = torch.where(usable[:, None, None], covariance, 0)
     mixed = information[:, :OWN, OWN]
     gain = (inverse @ mixed[..., None])[..., 0]
     slopes = gradient[:, OWN] - (gain * gradient[:, :OWN]).sum(-1)
     curvatures = information[:, OWN, OWN] - (gain * mixed).sum(-1)
     slope = torch.where(usable, slopes, 0).reshape(len(blur), -1).sum(-1)
     curvature = torch.where(usable, curvatures, 0).reshape(len(blur), -1).sum(-1)
-    step = (-slope / curvature.clamp_min(1e-12)).clamp(-0.5, 0.5)
-    return (blur + step).clamp(*BLUR_RANGE)
+    return bounded_blur_step(-slope / curvature.clamp_min(1e-12), blur)[:, None]
 
 
-def _finish(profiles: Profiles, solution: Solution, blur: Tensor, iterations: int) -> ProfileFit:
-    """Turn the solution of all profiles into a ProfileFit, with flags for those that failed."""
+def bounded_blur_step(step: Tensor, blur: Tensor) -> Tensor:
+    """Keep a step of the blur [B] short, and what it leads to in its range."""
+    return (blur + step.clamp(-LONGEST_BLUR_STEP, LONGEST_BLUR_STEP)).clamp(*BLUR_RANGE) - blur
+
+
+def describe_fit(profiles: Profiles, found: Found, iterations: int) -> ProfileFit:
+    """Turn what was found of all profiles into a ProfileFit, with flags for those that failed."""
     pictures, count = profiles.position.shape
     compared = profiles.valid[..., None] & torch.isfinite(profiles.variance)
     samples = compared.sum((-1, -2))
-    chi2 = solution.cost.reshape(pictures, count) / (samples - 3).clamp_min(1)
+    chi2 = found.cost.reshape(pictures, count) / (samples - 3).clamp_min(1)
     valid_share = profiles.valid.sum(-1) / profiles.is_filled.sum(-1).clamp_min(1)
-    covariance = solution.covariance[:, :3, :3].reshape(pictures, count, 3, 3)
-    centre, width, opacity, skew = solution.parameters.reshape(pictures, count, OWN).unbind(-1)
+    covariance = found.covariance[:, :3, :3].reshape(pictures, count, 3, 3)
+    centre, width, opacity, skew = found.parameters.reshape(pictures, count, OWN).unbind(-1)
     std = covariance.diagonal(dim1=-2, dim2=-1).sqrt()
     faults = {
-        ProfileFlag.NOT_CONVERGED: ~solution.converged.reshape(pictures, count),
+        ProfileFlag.NOT_CONVERGED: ~found.converged.reshape(pictures, count),
         ProfileFlag.CLIPPED: valid_share < MIN_VALID_SHARE,
         ProfileFlag.LOW_CONTRAST: ~(opacity > MIN_SIGNIFICANCE * std[..., 2]),
         ProfileFlag.AT_BOUND: (width < 0.75)
@@ -247,7 +287,7 @@ def _finish(profiles: Profiles, solution: Solution, blur: Tensor, iterations: in
         covariance=covariance,
         chi2_per_dof=chi2,
         flags=flags,
-        blur=blur,
+        blur=found.blur,
         samples=samples,
         iterations=iterations,
     )

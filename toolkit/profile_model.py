@@ -31,63 +31,88 @@ class Skew:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class WhitePixels:
+    """The pixels of B * P = E profiles in standard deviations, as any model of them needs them."""
+
+    offset: Tensor  # [E, S] px
+    observed: Tensor  # [E, Q, S] signal minus ground
+    ground: Tensor  # [E, Q, S]
+    smooth_ground: Tensor  # [E, Q, S]
+    whitening: Tensor  # [E, Q, S] 1 / standard deviation, 0 for what is not to be used
+    direction: Tensor  # [E, 1] rad
+    place: Tensor  # [E, 1, 2] px of the profile in the picture
+    is_mosaic: bool  # one channel at most was measured at each pixel
+
+    @classmethod
+    def of(cls, profiles: Profiles) -> "WhitePixels":
+        """Weigh the pixels of profiles by their noise."""
+        weight = _by_channel(profiles.variance).clamp_min(1e-14).rsqrt()
+        weight = weight * profiles.valid.flatten(0, 1)[:, None]
+        signal, ground, smooth_ground = (
+            _by_channel(values)
+            for values in (profiles.signal, profiles.ground, profiles.smooth_ground)
+        )
+        return cls(
+            offset=profiles.offset.flatten(0, 1).to(PRECISION),
+            observed=(signal - ground) * weight,
+            ground=ground * weight,
+            smooth_ground=smooth_ground * weight,
+            whitening=weight,
+            direction=profiles.direction.flatten()[:, None].to(PRECISION),
+            place=profiles.origin.flatten(0, 1)[:, None].to(PRECISION),
+            is_mosaic=int((weight > 0).sum(1).max()) <= 1,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ProfileModel:
     """The composited semi-ellipse of B * P = E profiles, against their pixels."""
 
     estimator: AlphaEstimator
-    offset: Tensor  # [E, S]
-    observed: Tensor  # [E, Q, S] signal minus ground, in standard deviations
-    ground: Tensor  # [E, Q, S]
-    J_ground: Tensor  # [E, Q, S] the ground as the Jacobian sees it
-    whitening: Tensor  # [E, Q, S] 1 / standard deviation, 0 for what is not to be used
+    pixels: WhitePixels
+    observed: Tensor  # [E, Q, S] signal minus ground, in standard deviations; Q = 1 of a mosaic
+    is_smooth: bool  # whether the Jacobian sees the smoothed ground
     contrasts: tuple[Tensor, Tensor] | None  # [E, Q, S], where one colour serves every offset
-    direction: Tensor  # [E, 1] rad
-    place: Tensor  # [E, 1, 2] px of the profile in the picture
     skew_mean: Tensor  # [E]
     skew_std: float
     is_bent: bool
 
     @classmethod
     def of(
-        cls, profiles: Profiles, estimator: AlphaEstimator, skew: Skew | None, J_ground: Tensor
+        cls,
+        pixels: WhitePixels,
+        estimator: AlphaEstimator,
+        skew: Skew | None,
+        *,
+        is_smooth: bool = False,
     ) -> "ProfileModel":
-        """Prepare profiles for fitting; the Jacobian sees `J_ground` [B, P, S, Q] for a ground."""
-        mean = torch.zeros_like(profiles.position) if skew is None else skew.mean
-        whitening = profiles.valid[..., None] / profiles.variance.clamp_min(1e-14).sqrt()
-        weight, ground, observed = (
-            _by_channel(values)
-            for values in (
-                whitening,
-                profiles.ground,
-                (profiles.signal - profiles.ground) * whitening,
+        """Prepare profiles for fitting."""
+        count = len(pixels.offset)
+        mean = torch.zeros(count, dtype=torch.float64) if skew is None else skew.mean.flatten()
+        foreground, slope = estimator.foreground_and_slope(
+            Chord(
+                offset=torch.zeros_like(pixels.offset),
+                direction=pixels.direction,
+                place=pixels.place,
             )
         )
-        is_same = J_ground is profiles.ground
-        J_ground = ground if is_same else _by_channel(J_ground)
-        offset = profiles.offset.flatten(0, 1).to(PRECISION)
-        direction = profiles.direction.flatten()[:, None].to(PRECISION)
-        place = profiles.origin.flatten(0, 1)[:, None].to(PRECISION)
-        foreground, slope = estimator.foreground_and_slope(
-            Chord(offset=torch.zeros_like(offset), direction=direction, place=place)
-        )
-        foreground = foreground.mT
-        contrast = (foreground - ground) * weight
-        J_contrast = contrast if is_same else (foreground - J_ground) * weight
-        if slope is None and int((weight > 0).sum(1).max()) <= 1:
-            # behind a mosaic each pixel measured one channel: the others are all zeros
-            contrast, observed = contrast.sum(1, keepdim=True), observed.sum(1, keepdim=True)
-            J_contrast = contrast if is_same else J_contrast.sum(1, keepdim=True)
+        contrasts, observed = None, pixels.observed
+        if slope is None:
+            light = foreground.mT * pixels.whitening
+            contrast = light - pixels.ground
+            J_contrast = light - pixels.smooth_ground if is_smooth else contrast
+            if pixels.is_mosaic:
+                # the channels that were not measured are all zeros
+                observed, contrast = (v.sum(1, keepdim=True) for v in (observed, contrast))
+                J_contrast = J_contrast.sum(1, keepdim=True) if is_smooth else contrast
+            contrasts = (contrast, J_contrast)
         return cls(
             estimator=estimator,
-            offset=offset,
+            pixels=pixels,
             observed=observed,
-            ground=ground,
-            J_ground=J_ground,
-            whitening=weight,
-            contrasts=(contrast, J_contrast) if slope is None else None,
-            direction=direction,
-            place=place,
-            skew_mean=mean.flatten(),
+            is_smooth=is_smooth,
+            contrasts=contrasts,
+            skew_mean=mean,
             skew_std=KNOWN_SKEW if skew is None else skew.std,
             is_bent=bool((mean.abs() > STRAIGHT).any()),
         )
@@ -109,25 +134,14 @@ class ProfileModel:
         number is never formed.
         """
         at = self._at(x, rows, blur)
-        J_alpha, weighted = at.J_alpha, at.weight * at.residual
-        cost = (weighted * at.residual * (2 - at.weight)).sum((-1, -2))
-        weighted_J = at.weight * at.J_contrast
-        gradient = (J_alpha @ (weighted * at.J_contrast).sum(1)[..., None])[..., 0]
-        information = (J_alpha * (weighted_J * at.J_contrast).sum(1)[:, None]) @ J_alpha.mT
-        if at.slope is not None and at.J_share is not None:
-            pull, J_share = at.alpha[:, None] * at.slope, at.J_share
-            gradient = gradient + (J_share @ (weighted * pull).sum(1)[..., None])[..., 0]
-            cross = (J_alpha * (weighted_J * pull).sum(1)[:, None]) @ J_share.mT
-            own = (J_share * (at.weight * pull * pull).sum(1)[:, None]) @ J_share.mT
-            information = information + cross + cross.mT + own
-        cost, gradient, information = (v.to(x.dtype) for v in (cost, gradient, information))
+        cost, gradient, information = (v.to(x.dtype) for v in at.sums())
         surprise = self._add_prior(x, rows, gradient, information)
         return cost + surprise**2, gradient, information
 
     def full_equations(
         self, x: Tensor, rows: Tensor, blur: Tensor, J_foreground: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Give gradient [A, 5 + U] and information with U unknowns of the appearance at the end.
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Give cost, gradient [A, 5 + U] and information with U unknowns of the appearance behind.
 
         Args:
             x: own parameters of the chosen profiles [A, 4].
@@ -136,15 +150,21 @@ class ProfileModel:
             J_foreground: derivative of the whitened foreground in the unknowns [A, Q, S, U].
         """
         at = self._at(x, rows, blur)
-        J = at.J_contrast[..., None] * at.J_alpha.mT[:, None]
+        cost, gradient, information = at.sums()
+        J_looks = at.alpha[:, None, :, None] * J_foreground
+        weighted_J = at.weight[..., None] * J_looks
+        mixed = at.J_alpha @ (at.J_contrast[..., None] * weighted_J).sum(1)
         if at.slope is not None and at.J_share is not None:
-            J = J + (at.alpha[:, None] * at.slope)[..., None] * at.J_share.mT[:, None]
-        J = torch.cat([J, at.alpha[:, None, :, None] * J_foreground], dim=-1).flatten(1, 2)
-        weighted_J = at.weight.flatten(1)[..., None] * J
-        gradient = (weighted_J.mT @ at.residual.flatten(1)[..., None])[..., 0].to(x.dtype)
-        information = (weighted_J.mT @ J).to(x.dtype)
-        self._add_prior(x, rows, gradient, information)
-        return gradient, information
+            pull = at.alpha[:, None] * at.slope
+            mixed = mixed + at.J_share @ (pull[..., None] * weighted_J).sum(1)
+        weighted_J, J_looks = weighted_J.flatten(1, 2), J_looks.flatten(1, 2)
+        looks_gradient = (weighted_J.mT @ at.residual.flatten(1)[..., None])[..., 0]
+        looks_information = torch.cat([mixed.mT, weighted_J.mT @ J_looks], dim=-1)
+        gradient = torch.cat([gradient, looks_gradient], dim=-1).to(x.dtype)
+        information = torch.cat([information, mixed], dim=-1)
+        information = torch.cat([information, looks_information], dim=-2).to(x.dtype)
+        surprise = self._add_prior(x, rows, gradient, information)
+        return cost.to(x.dtype) + surprise**2, gradient, information
 
     def residuals(self, x: Tensor, rows: Tensor, blur: Tensor) -> tuple[Tensor, Tensor]:
         """Give model minus observed of the chosen profiles, in standard deviations, [A, Q, S].
@@ -152,7 +172,7 @@ class ProfileModel:
         Beside them 1 where something was observed, else 0; a mosaic shows one channel.
         """
         residual = self._at(x, rows, blur).residual
-        seen = self.whitening[rows] > 0
+        seen = self.pixels.whitening[rows] > 0
         if seen.shape[1] != residual.shape[1]:
             seen = seen.any(1, keepdim=True)
         return residual, seen.to(residual.dtype)
@@ -162,12 +182,12 @@ class ProfileModel:
 
         The foreground is linear in them. [A, Q, S, U]
         """
-        offset = (self.offset[rows] - x[:, :1]) / x[:, 1:2]
+        offset = (self.pixels.offset[rows] - x[:, :1]) / x[:, 1:2]
         chord = self._chord(offset.to(PRECISION), rows)
         count = estimator.unknowns()
         at_zero = estimator.foreground(chord, torch.zeros(count, dtype=x.dtype))
         columns = [
-            (estimator.foreground(chord, unit) - at_zero).mT * self.whitening[rows]
+            (estimator.foreground(chord, unit) - at_zero).mT * self.pixels.whitening[rows]
             for unit in torch.eye(count, dtype=x.dtype)
         ]
         J = torch.stack(columns, dim=-1)
@@ -176,11 +196,11 @@ class ProfileModel:
 
     def _at(self, x: Tensor, rows: Tensor, blur: Tensor) -> "_Evaluated":
         # indexing copies: while every profile is still searched for, a slice does
-        chosen = slice(None) if len(rows) == len(self.offset) else rows
-        own_blur = blur.repeat_interleave(len(self.offset) // len(blur))[chosen][:, None]
+        chosen = slice(None) if len(rows) == len(self.pixels.offset) else rows
+        own_blur = blur.repeat_interleave(len(self.pixels.offset) // len(blur))[chosen][:, None]
         own_blur = own_blur.to(PRECISION)
         centre, half_width, opacity, skew = x[:, None, :].to(PRECISION).unbind(-1)
-        offset = self.offset[chosen]
+        offset = self.pixels.offset[chosen]
         bend = self.skew_mean[rows][:, None].to(PRECISION) if self.is_bent else None
         alpha, J_alpha = semi_ellipse_and_J(
             offset, centre, half_width, opacity, skew, own_blur, bend
@@ -213,7 +233,9 @@ class ProfileModel:
     def _chord(self, share: Tensor, rows: Tensor | slice) -> Chord:
         """Whole chords at offsets [A, S] in half widths; beyond the rim, those at the rim."""
         return Chord(
-            offset=share.clamp(-1, 1), direction=self.direction[rows], place=self.place[rows]
+            offset=share.clamp(-1, 1),
+            direction=self.pixels.direction[rows],
+            place=self.pixels.place[rows],
         )
 
     def _contrast(
@@ -225,9 +247,10 @@ class ProfileModel:
             taken = contrast[rows]
             return taken, taken if J_contrast is contrast else J_contrast[rows], None
         foreground, slope = self.estimator.foreground_and_slope(self._chord(share, rows))
-        foreground, weight = foreground.mT, self.whitening[rows]
-        contrast = (foreground - self.ground[rows]) * weight
-        J_contrast = (foreground - self.J_ground[rows]) * weight
+        weight = self.pixels.whitening[rows]
+        light = foreground.mT * weight
+        contrast = light - self.pixels.ground[rows]
+        J_contrast = light - self.pixels.smooth_ground[rows] if self.is_smooth else contrast
         return contrast, J_contrast, None if slope is None else slope.mT * weight
 
 
@@ -242,6 +265,21 @@ class _Evaluated:
     J_share: Tensor | None  # [A, 5, S] of the share of the half width; None where not needed
     residual: Tensor  # [A, Q, S]
     weight: Tensor  # [A, Q, S] robust
+
+    def sums(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Give cost [A], gradient [A, 5] and information [A, 5, 5]."""
+        J_alpha, weighted = self.J_alpha, self.weight * self.residual
+        cost = (weighted * self.residual * (2 - self.weight)).sum((-1, -2))
+        weighted_J = self.weight * self.J_contrast
+        gradient = (J_alpha @ (weighted * self.J_contrast).sum(1)[..., None])[..., 0]
+        information = (J_alpha * (weighted_J * self.J_contrast).sum(1)[:, None]) @ J_alpha.mT
+        if self.slope is not None and self.J_share is not None:
+            pull, J_share = self.alpha[:, None] * self.slope, self.J_share
+            gradient = gradient + (J_share @ (weighted * pull).sum(1)[..., None])[..., 0]
+            cross = (J_alpha * (weighted_J * pull).sum(1)[:, None]) @ J_share.mT
+            own = (J_share * (self.weight * pull * pull).sum(1)[:, None]) @ J_share.mT
+            information = information + cross + cross.mT + own
+        return cost, gradient, information
 
 
 def _by_channel(values: Tensor) -> Tensor:

@@ -219,5 +219,6 @@ def _pad(table: Tensor, count: int) -> Tensor:
 def _take(picture: Tensor, index: Tensor) -> Tensor:
     """Values of [B, Q, H, W] at flat pixel indices [B, P, S]: [B, P, S, Q] float64."""
     flat = picture.flatten(2)
-    taken = [flat[b][:, index[b]].permute(1, 2, 0) for b in range(len(flat))]
-    return torch.stack(taken).to(torch.float64)
+    taken = [flat[b][:, index[b]] for b in range(len(flat))]
+    # channels stay apart in memory, as they are fitted
+    return torch.stack(taken).to(torch.float64).permute(0, 2, 3, 1)

@@ -3,11 +3,13 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator
 from toolkit.appearance import guess_appearance
+from toolkit.appearance_fit import find_appearance
 from toolkit.common_residual import common_misfit
 from toolkit.contours import (
     check_enough,
@@ -18,11 +20,11 @@ from toolkit.contours import (
 )
 from toolkit.ends import rough_ends
 from toolkit.errors import StreakError
-from toolkit.profile_fit import BLUR_ROUNDS, fit_profiles, improve_appearance, refine_profiles
-from toolkit.profile_model import KNOWN_SKEW, Skew
+from toolkit.profile_fit import Start, fit_profiles, refine_profiles
+from toolkit.profile_model import KNOWN_SKEW, Skew, WhitePixels
 from toolkit.profiles import axis_bend, gather_profiles
 from toolkit.streak import refine_axis
-from toolkit.types import Appearance, ProfileFit, ProfileFlag, Profiles
+from toolkit.types import ProfileFit, ProfileFlag, Profiles
 from toolkit.view import StreakView
 
 PROFILE_REACH = 1.5
@@ -33,10 +35,10 @@ FIRST_LOOK = 8
 """The same in the first look, about."""
 START_TOLERANCE = 0.2
 """Standard deviations to which profiles are searched: the refinement needs no better start."""
-REFINEMENTS = 2
-"""Rounds in which profiles are fitted about the smooth course of all of them."""
-APPEARANCE_ROUNDS = 4
-"""Rounds in which what an estimator leaves open is found, before these."""
+REFINEMENTS = (2, 6)
+"""Rounds in which profiles are fitted about the smooth course of all of them: least and most."""
+BLUR_SETTLED = 0.03
+"""px by which the blur may change in the last of them."""
 MISFIT = 2.0
 """Chi-square per degree of freedom beyond which the ball is not of one colour."""
 MANY_COLOURS = 10.0
@@ -67,32 +69,24 @@ def fit_streak(view: StreakView, estimator: AlphaEstimator) -> tuple[ProfileFit,
     Raises:
         StreakError: when too few profiles are good, or the path turns a corner.
     """
-    axis, half_width, excess = view.streak.axis, view.streak.half_width, 1.0
-    guess = guess_appearance(view, estimator) if estimator.unknowns() else None
-    known = estimator if guess is None else estimator.settled(guess.values)
-    for per_half_width, blur_rounds in ((FIRST_LOOK, 1), (PROFILES, BLUR_ROUNDS)):
-        reach = PROFILE_REACH * float(half_width) + 4
-        spacing = max(1.0, float(half_width) / PROFILES)
-        every = max(1, int(float(half_width) / per_half_width / spacing))
-        profiles = gather_profiles(
-            view.observation,
-            view.clipped,
-            axis,
-            reach,
-            corner=view.corner,
-            spacing=spacing,
-            every=every,
-        )
-        fit, skew, excess = _fit_as_seen(profiles, known, half_width, excess, blur_rounds)
-        axis, half_width = _middle_line(fit), _median_half_width(fit)
+    profiles = _laid_across(view, view.streak.axis, view.streak.half_width, FIRST_LOOK)
+    guess, known = None, estimator
+    if estimator.unknowns():
+        guess = guess_appearance(profiles, float(view.streak.half_width), estimator)
+        known = estimator.settled(guess.values)
+    first, _, excess = _fit_as_seen(profiles, known, view.streak.half_width)
+    half_width = _median_half_width(first)
+    profiles = _laid_across(view, _middle_line(first), half_width, PROFILES)
+    fit, skew, excess = _fit_as_seen(profiles, known, half_width, excess, first)
+    half_width = _median_half_width(fit)
     _check_corner(profiles, float(half_width))
     profiles = replace(profiles, variance=profiles.variance * excess)
+    pixels = WhitePixels.of(profiles)
     if guess is not None:
-        fit = _find_appearance(profiles, estimator, guess, fit, skew)
+        fit = find_appearance(profiles, pixels, estimator, guess, fit, skew)
         known = settled(estimator, fit)
-    for _ in range(REFINEMENTS):
-        fit = refine_profiles(profiles, known, fit, smooth_parameters(fit)[None], skew)
-    misfit = common_misfit(profiles, fit, known, skew)
+    fit = _refine(profiles, pixels, known, fit, skew)
+    misfit = common_misfit(pixels, fit, known, skew)
     if guess is not None and misfit > MANY_COLOURS:
         raise ManyColours(
             "the ball is not of one colour that the fit could find: its profiles have another "
@@ -105,12 +99,29 @@ def fit_streak(view: StreakView, estimator: AlphaEstimator) -> tuple[ProfileFit,
     return replace(fit, chi2_per_dof=chi2, common_misfit=misfit), profiles
 
 
+def _laid_across(
+    view: StreakView, axis: Tensor, half_width: Tensor, per_half_width: int
+) -> Profiles:
+    """Lay profiles square to an axis, so many to a half width [1] px."""
+    spacing = max(1.0, float(half_width) / PROFILES)
+    return gather_profiles(
+        view.observation,
+        view.clipped,
+        axis,
+        PROFILE_REACH * float(half_width) + 4,
+        corner=view.corner,
+        spacing=spacing,
+        every=max(1, int(float(half_width) / per_half_width / spacing)),
+        smooth_ground=view.smooth_ground,
+    )
+
+
 def _fit_as_seen(
     profiles: Profiles,
     estimator: AlphaEstimator,
     half_width: Tensor,
-    excess: float,
-    blur_rounds: int,
+    excess: float = 1.0,
+    before: ProfileFit | None = None,
 ) -> tuple[ProfileFit, Skew, float]:
     """Fit profiles, and once more with noise as large as their misfit where one colour fails.
 
@@ -119,13 +130,14 @@ def _fit_as_seen(
         estimator: of the ball's opacity.
         half_width: rough, px [1].
         excess: by how much the misfit was seen to exceed the noise before, as a variance; else 1.
-        blur_rounds: how often the blur is improved.
+        before: a fit of fewer profiles to start from.
 
     Returns:
         The fit, the skew it assumed, and the excess.
     """
     # a bent axis is covered for longer on its inner side: skew = half width / (2 bending radius)
     bend_skew = axis_bend(profiles) * half_width[:, None] / 2
+    start = None if before is None else _between(before, profiles, half_width, bend_skew)
     for is_last in (False, True):
         skew = Skew(mean=bend_skew, std=KNOWN_SKEW if excess == 1 else SHADING)
         widened = replace(profiles, variance=profiles.variance * excess)
@@ -135,7 +147,8 @@ def _fit_as_seen(
             half_width=half_width,
             skew=skew,
             tolerance=START_TOLERANCE,
-            blur_rounds=blur_rounds,
+            blur_rounds=1,  # what is noisy one by one looks sharper than it is
+            start=start,
         )
         fit = _mark_ends(fit)
         misfit = excess * _median_chi2(fit)
@@ -146,16 +159,29 @@ def _fit_as_seen(
     return fit, skew, excess
 
 
-def _find_appearance(
-    profiles: Profiles, estimator: AlphaEstimator, guess: Appearance, fit: ProfileFit, skew: Skew
+def _between(fit: ProfileFit, profiles: Profiles, half_width: Tensor, skew: Tensor) -> Start:
+    """Start profiles laid along the middle of a fit from what those next to them were."""
+    share, known = profiles.position / profiles.position[0, -1], fit.position / fit.position[0, -1]
+    widths = fit.half_width.clamp(min=0.6 * half_width[0], max=1.4 * half_width[0])
+    width, opacity = (
+        torch.from_numpy(np.interp(share[0].numpy(), known[0].numpy(), values[0].numpy()))[None]
+        for values in (widths, fit.opacity)
+    )
+    parameters = torch.stack([torch.zeros_like(width), width, opacity, skew], dim=-1)
+    return Start(parameters=parameters, blur=fit.blur)
+
+
+def _refine(
+    profiles: Profiles, pixels: WhitePixels, estimator: AlphaEstimator, fit: ProfileFit, skew: Skew
 ) -> ProfileFit:
-    """Find what the estimator leaves open of the ball's looks, and fit the profiles with it."""
-    looks = guess
-    for _ in range(APPEARANCE_ROUNDS):
-        about = smooth_parameters(fit)[None]
-        looks = improve_appearance(profiles, estimator, guess, looks.values, fit, about, skew)
-        fit = refine_profiles(profiles, estimator.settled(looks.values), fit, about, skew)
-    return replace(fit, appearance=looks)
+    """Fit the profiles about their smooth course until the blur of all stays as it is."""
+    least, most = REFINEMENTS
+    for done in range(1, most + 1):
+        blur = float(fit.blur)
+        fit = refine_profiles(profiles, estimator, fit, smooth_parameters(fit)[None], skew, pixels)
+        if done >= least and abs(float(fit.blur) - blur) < BLUR_SETTLED:
+            break
+    return fit
 
 
 def settled(estimator: AlphaEstimator, fit: ProfileFit) -> AlphaEstimator:

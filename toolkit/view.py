@@ -7,6 +7,7 @@ from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator, Observation, observe_colours
 from toolkit.background import estimate_noise, sample_pair, scale_background
+from toolkit.box_filter import ring_mean
 from toolkit.clear_pixels import around, roughly_lit
 from toolkit.errors import StreakError
 from toolkit.scene_match import check_light, check_same_scene
@@ -27,6 +28,7 @@ class StreakView:
 
     streak: Streak
     observation: Observation  # on the window
+    smooth_ground: Tensor  # of the observation, about each pixel and without it
     shot: LinearImage  # the window itself
     background: LinearImage  # in the shot's light
     noise: NoiseModel
@@ -75,9 +77,11 @@ def observe_streak(
     _check_inside(streak, image)
     left, top, width, height = _window(streak, image)
     shot, ground = (picture.window(left, top, width, height) for picture in (image, background))
+    observation = estimator.observe(shot, ground, noise)
     return StreakView(
         streak=streak,
-        observation=estimator.observe(shot, ground, noise),
+        observation=observation,
+        smooth_ground=ring_mean(observation.ground),
         shot=shot,
         background=ground,
         noise=noise,

@@ -9,6 +9,7 @@ from plugins.uniform import Uniform
 from toolkit import measure
 from toolkit.alpha import Chord
 from toolkit.appearance import guess_appearance
+from toolkit.profiles import gather_profiles
 from toolkit.streak_fit import fit_streak
 from toolkit.synthetic import (
     benchmark_scene,
@@ -67,7 +68,11 @@ def test_settling_gives_an_estimator_of_that_colour():
 
 def test_the_guess_from_the_streaks_shape_is_near(textured):
     view = observe_streak(textured.image, textured.background, Uniform())
-    guess = guess_appearance(view, Uniform())
+    half_width = float(view.streak.half_width)
+    profiles = gather_profiles(
+        view.observation, view.clipped, view.streak.axis, 2 * half_width, corner=view.corner
+    )
+    guess = guess_appearance(profiles, half_width, Uniform())
     truth = torch.tensor(SCENE.appearance.colour, dtype=torch.float64)
     assert (guess.values - truth).abs().max() < 3 * guess.std < 0.4
 
