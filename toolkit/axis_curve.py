@@ -14,6 +14,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import Protocol
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -24,6 +25,8 @@ from toolkit.splines import SIZES, SplineBasis, fit_smooth, fit_spline
 
 GRAZE_STEPS = 3
 """Gauss-Newton steps to the point of the axis nearest to a ray; each gains two digits or more."""
+GRAZED = 1e-4
+"""Share of the streak's length that the last step may be long: the distance hardly changes."""
 MAX_STEPS = 40
 IMAGE_CONTINUATION, DEPTH_CONTINUATION = 2, 1
 """Degrees with which path and inverse depth go on beyond the contours, over the streak's ends."""
@@ -63,7 +66,7 @@ class AxisCurve:
 
     def __call__(self, s: Tensor) -> Tensor:
         """Points of the curve at s [...]: [..., 3] m."""
-        normalised, inverse_depth = self._parts(s, 0)
+        normalised, inverse_depth = self._parts(s)
         return _homogeneous(normalised, 1.0) / inverse_depth
 
     def tangent(self, s: Tensor) -> Tensor:
@@ -72,17 +75,22 @@ class AxisCurve:
 
     def point_and_tangent(self, s: Tensor) -> tuple[Tensor, Tensor]:
         """Give both at s [...], [..., 3] each: much of the work is the same."""
-        normalised, inverse_depth = self._parts(s, 0)
-        slope, depth_slope = self._parts(s, 1)
-        point = _homogeneous(normalised, 1.0) / inverse_depth
-        return point, (_homogeneous(slope, 0.0) - point * depth_slope) / inverse_depth
+        at = s.numpy()
+        (x, y), (x_slope, y_slope) = self.image_basis.value_and_slope(at, self.image.numpy())
+        (q,), (q_slope,) = self.depth_basis.value_and_slope(at, self.inverse_depth.numpy()[:, None])
+        z = 1 / q
+        x, y, fall = x * z, y * z, q_slope * z
+        point = np.stack([x, y, z], axis=-1)
+        tangent = [x_slope * z - x * fall, y_slope * z - y * fall, -z * fall]
+        return torch.from_numpy(point), torch.from_numpy(np.stack(tangent, axis=-1))
 
     def J_point(self, s: Tensor) -> Tensor:
         """Derivative of points at fixed s in (across [K], inverse depth [L]): [..., 3, K + L]."""
-        normalised, inverse_depth = self._parts(s, 0)
-        sideways = _homogeneous(self.across, 0.0).mT * self.image_basis(s)[..., None, :]
-        point = _homogeneous(normalised, 1.0) / inverse_depth
-        deeper = -point[..., None] * self.depth_basis(s)[..., None, :]
+        image, depth = self.image_basis(s), self.depth_basis(s)
+        inverse_depth = (depth @ self.inverse_depth)[..., None]
+        sideways = _homogeneous(self.across, 0.0).mT * image[..., None, :]
+        point = _homogeneous(image @ self.image, 1.0) / inverse_depth
+        deeper = -point[..., None] * depth[..., None, :]
         return torch.cat([sideways, deeper], dim=-1) / inverse_depth[..., None]
 
     @property
@@ -118,9 +126,9 @@ class AxisCurve:
         )
         return radius
 
-    def _parts(self, s: Tensor, derivative: int) -> tuple[Tensor, Tensor]:
-        normalised = self.image_basis(s, derivative) @ self.image
-        return normalised, (self.depth_basis(s, derivative) @ self.inverse_depth)[..., None]
+    def _parts(self, s: Tensor) -> tuple[Tensor, Tensor]:
+        normalised = self.image_basis(s) @ self.image
+        return normalised, (self.depth_basis(s) @ self.inverse_depth)[..., None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -308,6 +316,8 @@ def nearest_parameter(curve: Curve, s: Tensor, rays: Tensor) -> Tensor:
         moment, slope = torch.linalg.cross(point, rays), torch.linalg.cross(tangent, rays)
         step = -(moment * slope).sum(-1) / (slope * slope).sum(-1).clamp_min(1e-300)
         s = s + step.clamp(-curve.span / 4, curve.span / 4)
+        if float(step.abs().max()) < GRAZED * curve.span:
+            break
     return s
 
 

@@ -125,27 +125,33 @@ def _locate_end(
     cap = _cap_pixels(end, curve, pixels, camera, ball_radius)
     rays, nearest = _rays_and_nearest(end, curve, cap, camera)
     enter, leave, is_covered = covering_interval(curve, nearest, rays, ball_radius)
-    offset = _chord_offset(curve, nearest, rays, ball_radius)
+    low, high = float(enter.min()), float(leave.max())
+    if not bool(is_covered.any()):
+        raise StreakError(LOST_END)
+    cap = cap.taken(is_covered)
+    enter, leave = enter[is_covered], leave[is_covered]
+    offset = _chord_offset(curve, nearest[is_covered], rays[is_covered], ball_radius)
     direction = _direction(curve, end, camera)
     place = camera.project(curve(end))[None]
     leading, trailing = (leave, enter) if sign > 0 else (enter, leave)
-    low, high = float(enter.min()), float(leave.max())
+    time_leading, time_trailing = clock(leading), clock(trailing)
+    seen: _Opacity | None = None
     for _ in range(STEPS):
         chord = replace(_seen_chord(offset, direction, enter, leave, end, sign), place=place)
-        alpha, precision = cap.opacity(chord)
-        weight = torch.where(is_covered, precision, 0)
-        inside = ((end - trailing) * sign > 0) & ((leading - end) * sign > 0) & is_covered
-        begins = torch.where((end - trailing) * sign > 0, end.expand_as(trailing), trailing)
-        model = (sign * (clock(leading) - clock(begins))).clamp_min(0)
+        seen = now = cap.opacity(chord, seen)
+        has_come = (end - trailing) * sign > 0
+        inside = has_come & ((leading - end) * sign > 0)
+        begins = torch.where(has_come, clock(end), time_trailing)
+        model = (sign * (time_leading - begins)).clamp_min(0)
         J = torch.where(inside, -sign * clock_rate(end), 0)
-        residual = torch.where(is_covered, model - alpha, 0)
-        information = (weight * J * J).sum().clamp_min(1e-12)
-        step = -(weight * J * residual).sum() / information
+        residual = model - now.alpha
+        information = (now.precision * J * J).sum().clamp_min(1e-12)
+        step = -(now.precision * J * residual).sum() / information
         end = (end + step).clamp(low, high)
         if abs(float(step)) < SETTLED * curve.span:
             break
-    count = max(int(is_covered.sum()) - 1, 1)
-    chi2 = float((weight * residual * residual).sum()) / count
+    count = max(len(residual) - 1, 1)
+    chi2 = float((now.precision * residual * residual).sum()) / count
     return end, (max(chi2, 1.0) / information).sqrt(), chi2
 
 
@@ -160,26 +166,31 @@ def covering_interval(
         Where the ball reaches the ray and where it leaves it [N], and whether it covers it at
         all [N] bool.
     """
-    gap, slope = _moment(curve, nearest, rays)
-    chord = ball_radius**2 - (gap * gap).sum(-1)
-    half = chord.clamp_min(0).sqrt() / torch.linalg.vector_norm(slope, dim=-1)
-    bounds, longest = [], LONGEST_STEP * curve.span
-    for side in (-1.0, 1.0):
-        at = nearest + side * half
-        for _ in range(2):
-            moment, change = _moment(curve, at, rays)
-            excess = (moment * moment).sum(-1) - ball_radius**2
-            growth = 2 * (moment * change).sum(-1)
-            is_steep = growth * side > 0
-            step = torch.where(is_steep, excess / torch.where(is_steep, growth, 1), 0)
-            at = at - step.clamp(-longest, longest)
-        bounds.append(at)
-    return bounds[0], bounds[1], chord > 0
+    squared, growth, slope = _squared_moment(curve, nearest, rays)
+    chord = ball_radius**2 - squared
+    half = chord.clamp_min(0).sqrt() / slope.sqrt()
+    # both bounds at once, the earlier one first
+    side = torch.tensor([[-1.0], [1.0]], dtype=torch.float64)
+    at, longest = nearest + side * half, LONGEST_STEP * curve.span
+    for _ in range(2):
+        squared, growth, _ = _squared_moment(curve, at, rays)
+        is_steep = growth * side > 0
+        excess = squared - ball_radius**2
+        step = torch.where(is_steep, excess / torch.where(is_steep, 2 * growth, 1), 0)
+        at = at - step.clamp(-longest, longest)
+    return at[0], at[1], chord > 0
 
 
-def _moment(curve: Curve, s: Tensor, rays: Tensor) -> tuple[Tensor, Tensor]:
-    point, tangent = curve.point_and_tangent(s)
-    return torch.linalg.cross(point, rays), torch.linalg.cross(tangent, rays)
+def _squared_moment(curve: Curve, s: Tensor, rays: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Give |A x u|^2, half its derivative in s and |A' x u|^2, at s [..., N] on rays [N, 3]."""
+    (ux, uy, uz), points = rays.unbind(-1), curve.point_and_tangent(s)
+    (x, y, z), (dx, dy, dz) = (vector.unbind(-1) for vector in points)
+    along, along_slope = x * ux + y * uy + z * uz, dx * ux + dy * uy + dz * uz
+    return (
+        x * x + y * y + z * z - along * along,
+        x * dx + y * dy + z * dz - along * along_slope,
+        dx * dx + dy * dy + dz * dz - along_slope * along_slope,
+    )
 
 
 def _chord_offset(curve: Curve, nearest: Tensor, rays: Tensor, ball_radius: float) -> Tensor:
@@ -224,13 +235,37 @@ class _Cap:
     ground: Tensor  # [N, Q]
     variance: Tensor  # [N, Q]
 
-    def opacity(self, chord: Chord) -> tuple[Tensor, Tensor]:
-        """Give the opacity of every pixel and its precision, [N], where the ball shows `chord`."""
-        contrast = self.estimator.foreground(chord, None) - self.ground
+    def taken(self, chosen: Tensor) -> "_Cap":
+        """Give the cap with some of the usable pixels only, [N] bool."""
+        return replace(
+            self,
+            signal=self.signal[chosen],
+            ground=self.ground[chosen],
+            variance=self.variance[chosen],
+        )
+
+    def opacity(self, chord: Chord, before: "_Opacity | None") -> "_Opacity":
+        """Give the opacity of every pixel where the ball shows `chord`; before, it showed another.
+
+        Most balls show the same whatever the chord.
+        """
+        foreground = self.estimator.foreground(chord, None)
+        if before is not None and torch.equal(foreground, before.foreground):
+            return before
+        contrast = foreground - self.ground
         weight = contrast / self.variance
         precision = (weight * contrast).sum(-1)
         alpha = (weight * (self.signal - self.ground)).sum(-1) / precision.clamp_min(1e-12)
-        return alpha, precision
+        return _Opacity(foreground=foreground, alpha=alpha, precision=precision)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Opacity:
+    """What the pixels of a cap tell."""
+
+    foreground: Tensor  # [N, Q]
+    alpha: Tensor  # [N]
+    precision: Tensor  # [N]
 
 
 def _cap_pixels(

@@ -7,8 +7,10 @@ are declared in the same way. Listing imports none of them, building the named o
 import ast
 import inspect
 import re
+import sys
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields, replace
+from functools import lru_cache
 from importlib.metadata import EntryPoint
 from importlib.util import find_spec
 from pathlib import Path
@@ -162,9 +164,9 @@ def name_of(estimator: "type[AlphaEstimator]") -> str:
         >>> name_of(TwoColour)
         'two-colour'
     """
-    point = _declaration(estimator)
-    if point is not None:
-        return point.name
+    name = _declared_name(estimator, tuple(sys.path))
+    if name is not None:
+        return name
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", estimator.__name__).lower()
 
 
@@ -200,6 +202,16 @@ def missing_fields(
         and field.default_factory is MISSING
         and field.name not in values
     )
+
+
+@lru_cache(maxsize=64)
+def _declared_name(estimator: type, _: tuple[str, ...]) -> str | None:
+    """Find the name a class is declared by; to look through all packages takes a while.
+
+    The path on which they lie is remembered with the answer.
+    """
+    point = _declaration(estimator)
+    return None if point is None else point.name
 
 
 def _declaration(estimator: type) -> EntryPoint | None:

@@ -56,6 +56,26 @@ class SplineBasis:
             basis = (powers[..., None] * table[row.astype(np.intp)]).sum(-2)
         return np.asarray(basis / length**derivative)
 
+    def value_and_slope(self, x: Array, coefficients: Array) -> tuple[Array, Array]:
+        """Give the curve with coefficients [K, D] at x [...] and its derivative, [D, ...] each."""
+        pieces = self.size - self.degree
+        length = (self.stop - self.start) / pieces
+        u = (x - self.start) / length
+        table = _taylor_table(self.degree, pieces, min(self.continuation, self.degree))
+        polynomials = (table @ coefficients).transpose(1, 2, 0)  # [degree + 1, D, pieces + 2]
+        if pieces == 1 and self.continuation >= self.degree:
+            parts = list(polynomials[:, :, 1].reshape(self.degree + 1, -1, *[1] * x.ndim))
+        else:
+            row = np.where(u > pieces, pieces, np.floor(u)).clip(-1, pieces).astype(np.intp) + 1
+            u = u - (row - 1).clip(0)
+            parts = [part[:, row] for part in polynomials]
+        value, slope = parts[-1], np.zeros_like(parts[-1])
+        for part in reversed(parts[:-1]):
+            slope = slope * u + value
+            value = value * u + part
+        shape = (coefficients.shape[1], *x.shape)
+        return np.broadcast_to(value, shape), np.broadcast_to(slope / length, shape)
+
 
 def _powers(u: Array, degree: int, derivative: int) -> Array:
     """Derivatives of 1, u, u^2, ... up to u^degree, [..., degree + 1]."""
