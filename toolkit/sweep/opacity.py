@@ -27,8 +27,10 @@ REACH = 6.0
 """Standard deviations of the spread beyond the contour up to which a pixel sees the ball."""
 RIM = 8.0
 """The same inside the contour, up to which h is spread so unevenly that corners need quadrature."""
-NODES = 14
-"""Of that quadrature."""
+NODES, STILL_NODES = 14, 40
+"""Of that quadrature; more for a ball that moves little, whose image has steps instead of ramps."""
+STILL = 0.04
+"""Spread over travel from which it moves little."""
 GUESSES = 9
 """Instants from which the one of closest approach is searched on a bent arc."""
 NEWTON_STEPS = 4
@@ -114,7 +116,8 @@ def arc_opacity(
     )
     form = _Form(
         instant=t,
-        room=near.room - spread * bend,
+        room=near.room,
+        bend=spread * bend / over.q,
         A=A,
         lean=-skewness / (2 * A),
         swell=5 * skewness**2 / (8 * A**2) - curl / (8 * A),
@@ -130,7 +133,7 @@ def arc_opacity(
     J_spread = (
         by_q_spread * (over.q**2 / (2 * spread**2))
         + (by.t_spread * over.t + by.joint * over.joint) / spread
-        - by.q * bend
+        + by.bend * bend
     )
 
     # the slopes of q and t_m, and with them the spreads, change with the arc too
@@ -206,7 +209,8 @@ class _Form:
     """The crossing of each ray: covered from instant + lean h^2 -+ h (1 + swell h^2)."""
 
     instant: Tensor
-    room: Tensor  # mean of q over the spread
+    room: Tensor  # q itself
+    bend: Tensor  # share of the spread's square by which q falls on both sides
     A: Tensor
     lean: Tensor
     swell: Tensor
@@ -217,6 +221,7 @@ class _Form:
         return _Form(
             instant=self.instant[index],
             room=self.room[index],
+            bend=self.bend[index],
             A=self.A[index],
             lean=self.lean[index],
             swell=self.swell[index],
@@ -300,10 +305,11 @@ class _Slopes:
     q_spread: Tensor  # standard deviation of q
     t_spread: Tensor  # variance of t_m
     joint: Tensor  # covariance of the two
+    bend: Tensor  # what q falls by on both sides, m^2
 
     def put(self, index: Tensor, part: "_Slopes") -> None:
         """Put others in some places."""
-        for name in ("t", "q", "A", "q_spread", "t_spread", "joint"):
+        for name in ("t", "q", "A", "q_spread", "t_spread", "joint", "bend"):
             getattr(self, name)[index] = getattr(part, name)
 
 
@@ -311,12 +317,13 @@ def _smooth_opacity(form: _Form, over: _Spread) -> tuple[Tensor, _Slopes]:
     """Give the opacity with h replaced by its mean, its variance widening the ramps."""
     A, root_A = form.A, form.A.sqrt()
     x = form.room / over.q
-    root, slope = soft_root(x)
-    ramp, share, dense = soft_ramp(x)
+    root, slope, bend, turn = soft_root(x)
+    ramp, share, dense = soft_ramp(x - form.bend)
     root_q = over.q.sqrt()
-    mean = root_q * root / root_A
-    mean_by_q = slope / (root_q * root_A)
-    mean_by_spread = (root / 2 - x * slope) / (root_q * root_A)
+    mean = root_q * (root - form.bend * bend) / root_A
+    mean_by_q = (slope - form.bend * turn) / (root_q * root_A)
+    mean_by_spread = root / 2 - x * slope + form.bend * (bend / 2 + x * turn)
+    mean_by_spread = mean_by_spread / (root_q * root_A)
     square = over.q * ramp / A
     h = mean * (1 + form.swell * square)
     middle = form.instant + form.lean * square
@@ -348,6 +355,7 @@ def _smooth_opacity(form: _Form, over: _Spread) -> tuple[Tensor, _Slopes]:
         q_spread=by_h * mean_by_spread + by_variance * (dense / A - 2 * mean * mean_by_spread),
         t_spread=by_variance,
         joint=by_pull * mean_by_q,
+        bend=-by_h * bend / (root_q * root_A),
     )
 
 
@@ -375,13 +383,19 @@ def _corners(form: _Form, over: _Spread) -> Tensor:
 
 def _corner_opacity(form: _Form, over: _Spread) -> tuple[Tensor, _Slopes]:
     """Do the same by quadrature over h, exact for linear q and t_m."""
-    nodes, weights = _gauss_legendre()
+    across = float((over.t.mean() / ((form.stop - form.start) ** 2).mean()).sqrt())
+    nodes, weights = _gauss_legendre(NODES if across < STILL else STILL_NODES)
     root_A = form.A.sqrt()
     shortest = (form.room - 5 * over.q).clamp_min(0).sqrt() / root_A
     longest = (form.room + 5 * over.q).clamp_min(0).sqrt() / root_A
     h = shortest[:, None] + (longest - shortest)[:, None] * nodes
+    # q + q_spread (z - bend z^2) = A h^2, solved for z
     z = (form.A[:, None] * h * h - form.room[:, None]) / over.q[:, None]
-    weight = density(z) * 2 * h * ((longest - shortest) * form.A / over.q)[:, None] * weights
+    bent = form.bend[:, None] * z
+    stretch = 1 + bent * (2 + 6 * bent)
+    z = z * (1 + bent * (1 + 2 * bent))
+    weight = density(z) * stretch * 2 * h
+    weight = weight * ((longest - shortest) * form.A / over.q)[:, None] * weights
     pull = over.joint / over.q
     width = (over.t - pull**2).clamp_min(1e-24).sqrt()
     middle = form.instant[:, None] + pull[:, None] * z + form.lean[:, None] * h * h
@@ -389,22 +403,23 @@ def _corner_opacity(form: _Form, over: _Spread) -> tuple[Tensor, _Slopes]:
     start, stop = form.start[:, None], form.stop[:, None]
     late, late_share, late_widening = _ramps(middle + half, width[:, None], start, stop)
     early, early_share, early_widening = _ramps(middle - half, width[:, None], start, stop)
-    length, risen = weight * (late - early), weight * (late_share - early_share)
-    by_pull = (risen * z).sum(-1)
+    risen, both = weight * (late_share - early_share), weight * (late_share + early_share)
+    by_room = both / (2 * form.A[:, None] * h.clamp_min(1e-300))
     by_variance = (weight * (late_widening - early_widening)).sum(-1) / (2 * width)
-    return length.sum(-1), _Slopes(
+    by_pull = (risen * z).sum(-1) - 2 * by_variance * pull
+    return (weight * (late - early)).sum(-1), _Slopes(
         t=risen.sum(-1),
-        q=(length * z).sum(-1) / over.q,
-        A=-(weight * (late_share + early_share) * h).sum(-1) / (2 * form.A),
-        q_spread=((length * (z * z - 1)).sum(-1) - (by_pull - 2 * by_variance * pull) * pull)
-        / over.q,
+        q=by_room.sum(-1),
+        A=-(both * h).sum(-1) / (2 * form.A),
+        q_spread=(by_room * z).sum(-1) - by_pull * pull / over.q,
         t_spread=by_variance,
-        joint=(by_pull - 2 * by_variance * pull) / over.q,
+        joint=by_pull / over.q,
+        bend=-(by_room * z * z).sum(-1),
     )
 
 
 @cache
-def _gauss_legendre() -> tuple[Tensor, Tensor]:
+def _gauss_legendre(count: int) -> tuple[Tensor, Tensor]:
     """Nodes and weights on 0 to 1."""
-    nodes, weights = np.polynomial.legendre.leggauss(NODES)
+    nodes, weights = np.polynomial.legendre.leggauss(count)
     return torch.from_numpy((nodes + 1) / 2), torch.from_numpy(weights / 2)

@@ -12,16 +12,25 @@ NODES = 256
 """Of the integral that fills the table."""
 
 
-def soft_root(x: Tensor) -> tuple[Tensor, Tensor]:
-    """Give the mean of sqrt(max(x + z, 0)) over z ~ N(0, 1), and its derivative in x."""
+def soft_root(x: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Give the mean of sqrt(max(x + z, 0)) over z ~ N(0, 1), and how it bends, each with its slope.
+
+    The bend is the mean of z^2 times the slope of the root at x + z: by so much the mean falls for
+    each z^2 taken from x + z.
+
+    Returns:
+        Mean, its derivative in x, bend, its derivative in x.
+    """
     far = x.clamp_min(HIGH)
     plain, inverse = far.sqrt(), 1 / (far * far)
     root = plain * (1 - inverse * (1 / 8 + inverse * (15 / 128)))
     slope = (0.5 + inverse * (3 / 16 + inverse * (105 / 256))) / plain
+    bend = (0.5 + inverse * (9 / 16 + inverse * (525 / 256))) / plain
+    turn = -(0.25 + inverse * (45 / 32)) / (plain * far)
     near = (x < HIGH).nonzero()[:, 0]
     if len(near):
-        root[near], slope[near] = _looked_up(x[near])
-    return root, slope
+        root[near], slope[near], bend[near], turn[near] = _looked_up(x[near])
+    return root, slope, bend, turn
 
 
 def _looked_up(x: Tensor) -> Tensor:
@@ -51,7 +60,7 @@ def density(x: Tensor) -> Tensor:
 
 @cache
 def _table() -> Tensor:
-    """Values and slopes of the smoothed root at even steps [2, N].
+    """Values of the smoothed root, its slope, its bend and the bend's slope, at even steps [4, N].
 
     With y = t^2 the integrand of sqrt(y) density(y - x) is smooth from the start.
     """
@@ -59,5 +68,8 @@ def _table() -> Tensor:
     longest = math.sqrt(HIGH + 7)
     t = (torch.arange(NODES, dtype=torch.float64) + 0.5) * (longest / NODES)
     gap = t * t - x[:, None]
-    weight = 2 * t * t * density(gap) * (longest / NODES)
-    return torch.stack([weight.sum(-1), (weight * gap).sum(-1)])
+    share = density(gap) * (longest / NODES)
+    root = 2 * t * t * share
+    bend = share * gap * gap
+    rows = (root, root * gap, bend, bend * gap - 2 * share * gap)
+    return torch.stack([row.sum(-1) for row in rows])
