@@ -39,7 +39,7 @@ class PairSamples:
     level: tuple[Values, Values, Values]  # [N] each, the mean weighed by precision
     difference: tuple[Values, Values, Values]  # [N] each, shot minus background
     density: tuple[float, ...]  # share of the pixels at which a channel was measured
-    frames: int  # of the background
+    frames: float  # of the background
 
     def noise(self) -> NoiseModel:
         """Give the noise of one picture; see `estimate_noise`."""
@@ -114,7 +114,7 @@ def brightness_drift(
     return sample_pair(image, background, ignore).drift()
 
 
-def _ratio(level: Values, difference: Values, frames: int) -> float:
+def _ratio(level: Values, difference: Values, frames: float) -> float:
     if not len(level):  # all is clipped, and nothing tells of another light
         return 1.0
     bright = np.argpartition(level, len(level) // 2)[len(level) // 2 :]
@@ -125,13 +125,17 @@ def _ratio(level: Values, difference: Values, frames: int) -> float:
 
 
 def scale_background(background: LinearImage, ratio: Tensor) -> LinearImage:
-    """Give the background in the light of the shot, each channel multiplied by its ratio [3]."""
+    """Give the background in the light of the shot, each channel multiplied by its ratio [3].
+
+    Its noise grows with it: it then counts for as many frames as leave that much.
+    """
+    frames = background.frames / float((ratio * ratio).mean())
     ratio = ratio.to(background.recorded)
     if background.pattern is None:
-        return background.remade(background.recorded * ratio[:, None, None])
+        return background.remade(background.recorded * ratio[:, None, None], frames=frames)
     period = ratio[torch.tensor(background.pattern)].numpy()
     site = tile(period, background.recorded.shape[-2:])
-    return background.remade(background.recorded * torch.from_numpy(site))
+    return background.remade(background.recorded * torch.from_numpy(site), frames=frames)
 
 
 def _channel_samples(

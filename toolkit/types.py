@@ -80,7 +80,7 @@ class LinearImage:
     crop: tuple[int, int, int, int] | None = None
     response: str = "linear"  # how stored brightness became light
     response_is_assumed: bool = False  # nobody named it, it was guessed from the file kind
-    frames: int = 1  # how many pictures were combined into this one (noise is smaller by that)
+    frames: float = 1  # how many pictures were combined into this one (noise is smaller by that)
 
     def __post_init__(self) -> None:
         if self.__dict__["rgb"] is None and (self.mosaic is None or self.pattern is None):
@@ -130,7 +130,7 @@ class LinearImage:
         return self.rgb if self.mosaic is None else self.mosaic
 
     def remade(
-        self, recorded: Tensor, *, clipped: Tensor | None = None, frames: int | None = None
+        self, recorded: Tensor, *, clipped: Tensor | None = None, frames: float | None = None
     ) -> "LinearImage":
         """Give the picture with other `recorded` values; its colours follow them."""
         return replace(

@@ -192,6 +192,16 @@ def test_a_mosaic_follows_the_drift_at_each_pixel_for_its_colour():
     assert torch.equal((scaled.rgb * scaled.measured()).sum(1), scaled.mosaic[:, 0])
 
 
+@pytest.mark.parametrize("light", [0.5, 1.5])
+def test_a_scaled_background_has_its_own_noise(light):
+    """Else the shot's noise would be taken for as large as the one that was scaled with it."""
+    shot, ground = pair(NoiseLevel(read=0.01), ground=light * SCENE)
+    scaled = scale_background(ground, torch.full((3,), 1 / light, dtype=torch.float64))
+    assert scaled.frames == pytest.approx(light**2)
+    model = estimate_noise(shot, scaled)
+    assert torch.allclose(level_of(model, 0.3), torch.tensor(0.01), rtol=0.05)
+
+
 def test_pictures_of_other_sizes_are_refused():
     shot, ground = pair(NONE)
     check_pair(shot, ground)
