@@ -17,7 +17,7 @@ from toolkit.guarded import guarded
 from toolkit.light_change import light_caution
 from toolkit.measurement import Caution, Measurement
 from toolkit.motion import DEPTH, Motion
-from toolkit.reconstruction import reconstruct_axis
+from toolkit.reconstruction import check_rays, reconstruct_axis
 from toolkit.registry import name_of
 from toolkit.result import describe, describe_profiles, profile_table
 from toolkit.rough_motion import rough_motion
@@ -142,6 +142,7 @@ def by_sweep(task: Task) -> Measurement:
 
     Where no motion's image explains the streak, what its contours say is reported instead.
     """
+    check_rays(task.camera, task.view.streak.axis)
     found, refusal = None, None
     cautions: tuple[Caution, ...] = ()
     if _length_in_widths(task.view) >= TRACEABLE:

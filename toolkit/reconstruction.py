@@ -38,6 +38,14 @@ def place_ball(contours: Contours, camera: Camera, ball_radius: float) -> CrossS
     return place_cross_sections(pairs, planes, contours.opacity[is_coupled], ball_radius)
 
 
+def check_rays(camera: Camera, points: Tensor) -> None:
+    """Raise `StreakError` where the camera sees no ray at a streak's points [..., 2] px."""
+    if not bool(torch.isfinite(camera.undistort(points)).all()):
+        raise StreakError(
+            "the camera's distortion cannot be inverted at the streak; check the camera file"
+        )
+
+
 def reconstruct_axis(
     fit: ProfileFit, contours: Contours, camera: Camera, ball_radius: float
 ) -> AxisFit:
@@ -49,10 +57,7 @@ def reconstruct_axis(
     Raises:
         StreakError: when the contours belong to no ball in front of the camera.
     """
-    if not bool(torch.isfinite(camera.undistort(fit.edges[0][fit.good[0]])).all()):
-        raise StreakError(
-            "the camera's distortion cannot be inverted at the streak; check the camera file"
-        )
+    check_rays(camera, fit.edges[0][fit.good[0]])
     s = along_axis(fit, camera)
     good = fit.good[0].to(torch.float64)
     depth = _rough_depth(contours, camera, ball_radius)

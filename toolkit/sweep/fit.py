@@ -88,8 +88,8 @@ def search(
             converged = math.isfinite(seen.cost)
             break
         iterations += 1
-        trial = compare(model, x + step, pixels)
-        if trial.cost <= seen.cost:
+        trial = compare(model, x + step, pixels) if _is_in_front(model, x + step) else None
+        if trial is not None and trial.cost <= seen.cost:
             x, seen, damping = x + step, trial, damping * 0.1
         else:
             damping = max(damping * 10, 1e-2)
@@ -105,10 +105,19 @@ def search(
 
 def outline(model: SweepModel, x: Tensor) -> tuple[Tensor, float]:
     """Give the path in the picture [T, 2] px and the largest half width of the ball on it, px."""
-    arcs = model.path.arcs(x[: model.path.size])
-    points, _ = arcs.at(torch.linspace(-0.5, 0.5, PATH_POINTS, dtype=torch.float64))
+    points = _path_points(model, x)
     focal = max(model.camera.fx, model.camera.fy)
     # seen askew a sphere's image is longer than wide
     distance = torch.linalg.vector_norm(points, dim=-1)
     size = model.ball_radius * focal * distance / points[:, 2].clamp_min(1e-6) ** 2
     return model.camera.project(points), float(size.max())
+
+
+def _is_in_front(model: SweepModel, x: Tensor) -> bool:
+    """Whether the whole ball stays before the camera; behind it the equations hold as well."""
+    return bool((_path_points(model, x)[:, 2] > model.ball_radius).all())
+
+
+def _path_points(model: SweepModel, x: Tensor) -> Tensor:
+    arcs = model.path.arcs(x[: model.path.size])
+    return arcs.at(torch.linspace(-0.5, 0.5, PATH_POINTS, dtype=torch.float64))[0]
