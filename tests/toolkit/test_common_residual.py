@@ -16,7 +16,7 @@ def fit_of(shot, estimator):
     return fit_streak(observe_streak(shot.image, shot.background, estimator), estimator)[0]
 
 
-def run(shot, estimator):
+def run(shot, estimator, stage="contours"):
     scene = shot.scene
     return measure(
         shot.image,
@@ -25,6 +25,7 @@ def run(shot, estimator):
         ball_radius=scene.ball_radius,
         exposure=scene.exposure,
         estimator=estimator,
+        stage=stage,
     )
 
 

@@ -33,10 +33,11 @@ def codes(result):
     return {caution.code for caution in result.warnings}
 
 
-def test_a_whole_measurement_agrees_with_the_truth(shot):
-    result = run(shot)
+@pytest.mark.parametrize("stage", ["contours", "sweep"])
+def test_a_whole_measurement_agrees_with_the_truth(shot, stage):
+    result = run(shot, stage=stage)
     assert result.status == "ok"
-    assert (result.estimator, result.stage) == ("uniform", "contours")
+    assert (result.estimator, result.stage) == ("uniform", stage)
     error = np.abs(np.array(result.position_m) - shot.position.numpy())
     assert (error < 4 * np.array(result.position_std_m)).all()
     speed = float(shot.velocity.norm())
@@ -113,10 +114,13 @@ def test_a_camera_known_exactly_needs_no_caution(shot):
     assert np.allclose(result.state_covariance, plain.state_covariance, rtol=1e-3)
 
 
-def test_a_wrong_colour_shows_and_widens_the_speed(shot):
+@pytest.mark.parametrize(
+    ("stage", "code"), [("contours", "opacity-and-ends-disagree"), ("sweep", "streak-misfit")]
+)
+def test_a_wrong_colour_shows_and_widens_the_speed(shot, stage, code):
     red, green, blue = shot.scene.appearance.colour
-    result = run(shot, colour=(0.8 * red, 0.8 * green, 0.8 * blue))
-    assert "opacity-and-ends-disagree" in codes(result)
+    result = run(shot, colour=(0.8 * red, 0.8 * green, 0.8 * blue), stage=stage)
+    assert code in codes(result)
     assert abs(result.speed_m_s - float(shot.velocity.norm())) < 3 * result.speed_std_m_s
 
 
@@ -172,10 +176,16 @@ def test_a_streak_that_leaves_the_picture_is_refused(shot):
         run(shot, **cut)
 
 
-def test_a_short_streak_is_refused():
+def test_a_short_streak_is_measured_by_its_exact_image_but_not_by_its_contours():
     short = render_shot(benchmark_scene(width_px=40, length_widths=0.9, seed=1), seed=1)
+    result = run(short)
+    assert (result.stage, result.profiles) == ("sweep", None)
+    error = np.abs(np.array(result.position_m) - short.position.numpy())
+    assert (error < 4 * np.array(result.position_std_m)).all()
+    speed = float(short.velocity.norm())
+    assert abs(result.speed_m_s - speed) < 4 * result.speed_std_m_s < 0.2 * speed
     with pytest.raises(StreakError, match=r"too short .* about 2\.6 widths are needed") as refusal:
-        run(short)
+        run(short, stage="contours")
     length, width, widths = re.search(
         r"a streak (\d+) px long and (\d+) px wide \((\S+) widths\)", str(refusal.value)
     ).groups()
@@ -192,10 +202,10 @@ def test_a_streak_of_the_least_length_is_measured():
     assert abs(result.speed_m_s - float(short.velocity.norm())) < 3 * result.speed_std_m_s
 
 
-def test_a_bounce_is_refused():
+def test_a_bounce_has_no_contours_to_follow():
     scene = preset_scene("bounce", size=(600, 400), seed=0)
     with pytest.raises(StreakError, match="corner"):
-        run(render_shot(scene, seed=0))
+        run(render_shot(scene, seed=0), stage="contours")
 
 
 def test_inputs_that_do_not_fit_are_named(shot):
@@ -222,25 +232,30 @@ def test_impossible_numbers_are_named(shot, change):
         run(shot, **change)
 
 
-def test_a_streak_along_the_border_is_refused():
+def test_a_streak_along_the_border_is_measured_by_what_is_seen_of_it_but_has_no_contours():
     scene = benchmark_scene(width_px=30, length_widths=5, heading=0.0, seed=4)
     level = render_shot(scene, seed=4)
     # cuts through the ball's image all along a level streak
     top = int(level.scene.camera.project(level.position)[1]) - 4
     size = (0, top, level.image.width, level.image.height - top)
+    cut = {
+        "image": level.image.window(*size),
+        "background": level.background.window(*size),
+        "camera": scene.camera.cropped(*size),
+    }
     with pytest.raises(StreakError, match="leaves the picture"):
-        run(
-            level,
-            image=level.image.window(*size),
-            background=level.background.window(*size),
-            camera=scene.camera.cropped(*size),
-        )
+        run(level, **cut, stage="contours")
+    result = run(level, **cut)
+    error = np.abs(np.array(result.position_m) - level.position.numpy())
+    assert (error < 4 * np.array(result.position_std_m)).all()
+    assert abs(result.speed_m_s - float(level.velocity.norm())) < 4 * result.speed_std_m_s
 
 
-def test_a_camera_without_an_inverse_is_refused(shot):
+@pytest.mark.parametrize("stage", ["contours", "sweep"])
+def test_a_camera_without_an_inverse_is_refused(shot, stage):
     wild = replace(shot.scene.camera, distortion=(0.1, 0.2, 0.0, 0.0, -5e9))
     with pytest.raises(StreakError, match="distortion cannot be inverted"):
-        run(shot, camera=wild)
+        run(shot, camera=wild, stage=stage)
 
 
 def test_a_depth_that_is_not_known_is_refused(shot, monkeypatch):
