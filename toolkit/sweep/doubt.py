@@ -103,7 +103,7 @@ def _camera_covariance(fit: SweepFit, J: Tensor) -> Tensor | None:
     if not bool(camera.covariance.any()):
         return nothing
     k = fit.model.path.size
-    slope = opacity_slope(fit)
+    slope = fit.model.opacity_slope(fit.parameters, fit.pixels, fit.seen.coverage)
     rays = fit.pixels.rays.unit.mT
     variances, axes = torch.linalg.eigh(camera.covariance)
     columns = []
@@ -123,20 +123,3 @@ def _moved_pixels(camera: Camera, rays: Tensor, shift: Tensor) -> Tensor:
         for sign in (1.0, -1.0)
     )
     return (ahead.project(rays) - back.project(rays)) / (2 * CAMERA_STEP)
-
-
-def opacity_slope(fit: SweepFit) -> Tensor:
-    """Give the change of the opacity from pixel to pixel, to the right and downwards [2, M].
-
-    To see another ray is to see a path turned the other way: the derivative in the path tells it.
-    """
-    model, covered = fit.model, fit.seen.coverage
-    vectors = model.path.vectors
-    points = fit.parameters[:vectors].reshape(-1, 3)
-    J = covered.J[:vectors].reshape(len(points), 3, -1)
-    turn = -torch.linalg.cross(points[..., None].expand_as(J), J, dim=1).sum(0)
-    rays = fit.pixels.rays
-    sides = (rays.right, rays.down)
-    return torch.stack(
-        [(torch.linalg.cross(rays.unit, side, dim=0) * turn).sum(0) for side in sides]
-    )

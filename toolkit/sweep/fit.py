@@ -70,14 +70,19 @@ def fit_sweep(
     """
     path_px, half_width = outline(model, start)
     pixels = frame.about(path_px, half_width, side=side, doubt=doubt)
-    return search(model, start, pixels, tolerance=SETTLED if side == 1 else ROUGHLY)
+    # how the lens mixes rim and ground hangs so little on the path that the start tells it
+    covered = model.opacity(start, pixels)
+    slope = model.opacity_slope(start, pixels, covered)
+    pixels = pixels.behind_lens(slope, float(start[model.path.size]))
+    seen = compare(model, start, pixels, covered=covered)
+    return search(model, start, pixels, seen, tolerance=SETTLED if side == 1 else ROUGHLY)
 
 
 def search(
-    model: SweepModel, start: Tensor, pixels: StreakPixels, *, tolerance: float = SETTLED
+    model: SweepModel, start: Tensor, pixels: StreakPixels, seen: Comparison, *, tolerance: float
 ) -> SweepFit:
-    """Search by damped Gauss-Newton steps until one promises hardly any gain."""
-    x, seen, damping = start, compare(model, start, pixels), FIRST_DAMPING
+    """Search by damped Gauss-Newton steps from what is seen until one promises hardly any gain."""
+    x, damping = start, FIRST_DAMPING
     converged, iterations, k = False, 0, model.path.size
     while iterations < MAX_STEPS:
         step, gain = seen.step(damping)

@@ -115,6 +115,21 @@ class SweepModel:
             self.ball_radius,
         )
 
+    def opacity_slope(self, x: Tensor, pixels: StreakPixels, covered: "Coverage") -> Tensor:
+        """Give the change of the opacity from pixel to pixel, to the right and downwards [2, N].
+
+        To see another ray is to see a path turned the other way: the derivative in the path tells.
+        """
+        vectors = self.path.vectors
+        points = x[:vectors].reshape(-1, 3)
+        J = covered.J[:vectors].reshape(len(points), 3, -1)
+        turn = -torch.linalg.cross(points[..., None].expand_as(J), J, dim=1).sum(0)
+        rays = pixels.rays
+        sides = (rays.right, rays.down)
+        return torch.stack(
+            [(torch.linalg.cross(rays.unit, side, dim=0) * turn).sum(0) for side in sides]
+        )
+
     def J_offset(self, x: Tensor, pixels: StreakPixels, covered: "Coverage") -> Tensor:
         """Give the derivative of each covered pixel's chord offset in the path [K, M]."""
         arcs, passage, piece = self.path.arcs(self.split(x)[0]), covered.passage, covered.piece
@@ -216,18 +231,23 @@ class Comparison:
 
 
 def compare(
-    model: SweepModel, x: Tensor, pixels: StreakPixels, *, huber: float = HUBER
+    model: SweepModel,
+    x: Tensor,
+    pixels: StreakPixels,
+    *,
+    covered: Coverage | None = None,
+    huber: float = HUBER,
 ) -> Comparison:
-    """Compare the model of parameters [P] with the pixels."""
+    """Compare the model of parameters [P] with the pixels, whose opacity may be known already."""
     _, _, _, gain, offset = model.split(x)
     gains = torch.cat([gain - 1, offset])
-    covered = model.opacity(x, pixels)
+    covered = covered or model.opacity(x, pixels)
     alpha, rest = covered.alpha, 1 - covered.alpha
     gain, offset = gain[:, None], offset[:, None]
     lit = pixels.ground * gain + offset
     empty = pixels.ground_variance * gain
     ball = model.colours(x, pixels, covered)
-    residual = pixels.signal - lit - alpha * (ball.colour - lit)
+    residual = pixels.signal - lit - alpha * (ball.colour - lit) - pixels.mixed
     precision = 1 / (pixels.shot_variance + rest**2 * gain * empty)  # 0 where nothing was measured
     root = precision.sqrt()
     z = residual * root

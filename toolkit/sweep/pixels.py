@@ -67,7 +67,9 @@ class StreakPixels:
     ground: Tensor  # [Q, N]
     shot_variance: Tensor  # [Q, N], infinite where nothing was measured
     ground_variance: Tensor  # [Q, N]
+    ground_slope: Tensor  # [2, Q, N] change of the ground to the right and downwards, per px
     beside: Beside
+    mixed: Tensor  # [Q, N] what the lens adds where the ball's rim lies before a varying ground
     side: int = 1  # px of each square
     excess: float = 1.0  # by which the variances exceed the camera's noise
 
@@ -79,6 +81,19 @@ class StreakPixels:
     def __len__(self) -> int:
         """Number of pixels."""
         return len(self.place)
+
+    def behind_lens(self, opacity_slope: Tensor, spread: float) -> "StreakPixels":
+        """Give the same where the lens mixes the ball's rim with the ground beside it.
+
+        Over a pixel's spread both opacity and ground change; what is left of the ground's light is
+        the mean of a product, other than the product of the means by their joint change. [derived]
+
+        Args:
+            opacity_slope: change of the opacity to the right and downwards [2, N], per px.
+            spread: variance of lens and single pixel, px^2.
+        """
+        spread = spread + self.area_variance - PIXEL_VARIANCE
+        return replace(self, mixed=-spread * (opacity_slope[:, None] * self.ground_slope).sum(0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -160,6 +175,8 @@ class Frame:
             ground=ground,
             shot_variance=shot,
             ground_variance=empty,
+            ground_slope=_slopes(maps[1]).flatten(2)[..., inside].double() / side,
+            mixed=torch.zeros_like(signal),
             beside=Beside.of(*(m.flatten(1)[:, beside].double() for m in maps)),
             side=side,
             excess=self.excess,
@@ -192,6 +209,22 @@ def _binned(maps: tuple[Tensor, ...], usable: Tensor, side: int) -> tuple[Tensor
         mean(ground),
         torch.where(norm > 0, mean(shot, 2), torch.inf),
         mean(empty, 2),
+    )
+
+
+def _slopes(maps: Tensor) -> Tensor:
+    """Give the change of each map [Q, H, W] to the right and downwards, per element [2, Q, H, W].
+
+    Across the difference three elements are averaged, since noise changes from one to the next.
+    """
+    wide = torch.nn.functional.pad(maps[None], (1, 1, 1, 1), mode="replicate")[0]
+    right = (wide[..., 2:] - wide[..., :-2]) / 2
+    down = (wide[..., 2:, :] - wide[..., :-2, :]) / 2
+    return torch.stack(
+        [
+            (right[:, :-2] + 2 * right[:, 1:-1] + right[:, 2:]) / 4,
+            (down[..., :-2] + 2 * down[..., 1:-1] + down[..., 2:]) / 4,
+        ]
     )
 
 
