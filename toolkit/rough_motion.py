@@ -14,14 +14,15 @@ from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator
 from toolkit.camera import Camera
-from toolkit.rough_fit import RoughPath, fit_disc
-from toolkit.rough_pixels import Spread, block_pixels, spread_of
+from toolkit.rough_fit import RoughFit, RoughPath, fit_disc
+from toolkit.rough_pixels import Blocks, block_pixels, spread_of
+from toolkit.rough_starts import arc_starts, corner_starts, straight_start
 from toolkit.view import StreakView
 
 PATH_POINTS = 65
 """Instants at which the path is given."""
-FIRST_TRAVEL = 0.3
-"""Half widths: with no travel at all nothing would tell the fit which way to go on."""
+EVIDENCE = 15.0
+"""By how much the squared residuals must fall for a path with three more numbers, or one."""
 LEAST_TRAVEL = 0.05
 """Ball radii: how far a still ball is said to travel."""
 
@@ -50,30 +51,41 @@ def rough_motion(
         RoughMotion of the branch that moves right in the picture, or down, or away.
     """
     blocks = block_pixels(view, camera)
-    start = _straight_path(spread_of(blocks, estimator), camera, ball_radius)
+    start = straight_start(spread_of(blocks, estimator), camera, ball_radius)
     found = fit_disc(blocks, estimator, camera, start, ball_radius)
-    path = found.path.at(torch.linspace(-0.5, 0.5, PATH_POINTS, dtype=torch.float64))
-    path = _lengthened(path, camera, ball_radius)
+    found = _bent(found, blocks, view, estimator, camera, ball_radius)
+    path = found.path.at(torch.linspace(-0.5, 0.5, PATH_POINTS).double())
+    path, corner = _lengthened(path, ball_radius), found.path.corner
     if not _runs_forward(path, camera):
-        path = path.flip(0)
-    return RoughMotion(path=path, corner=None, colour=found.colour)
+        path, corner = path.flip(0), None if corner is None else -corner
+    return RoughMotion(path=path, corner=corner, colour=found.colour)
 
 
-def _straight_path(spread: Spread, camera: Camera, ball_radius: float) -> RoughPath:
-    """Place a straight path, square to the line of sight, where moments say that it is."""
-    travel = max(spread.length, FIRST_TRAVEL * spread.half_width) * spread.direction
-    across = spread.half_width * torch.stack([-spread.direction[1], spread.direction[0]])
-    sides = torch.stack([-travel / 2, travel / 2, -across, across])
-    first, last, left, right = camera.unproject(spread.centre + sides)
-    # the ball touches the cone that its outline makes
-    half_angle = torch.atan2(
-        torch.linalg.vector_norm(right - left), torch.linalg.vector_norm(right + left)
-    )
-    distance = ball_radius / half_angle.sin()
-    return RoughPath(coefficients=distance * torch.stack([(first + last) / 2, last - first]))
+def _bent(
+    straight: RoughFit,
+    blocks: Blocks,
+    view: StreakView,
+    estimator: AlphaEstimator,
+    camera: Camera,
+    ball_radius: float,
+) -> RoughFit:
+    """Give an arc, or a path with a corner, where the opacity clearly asks for one."""
+
+    def best(starts: list[RoughPath]) -> RoughFit:
+        fits = (fit_disc(blocks, estimator, camera, start, ball_radius) for start in starts)
+        return min(fits, key=lambda fit: fit.cost)
+
+    arc = best(arc_starts(straight.path, view.streak, camera))
+    if straight.cost < arc.cost + EVIDENCE:
+        return straight
+    corner = best(corner_starts(arc.path, view.streak, camera))
+    if arc.cost < corner.cost + EVIDENCE:
+        return arc
+    accelerated = best([corner.path.accelerated()])
+    return corner if corner.cost < accelerated.cost + EVIDENCE else accelerated
 
 
-def _lengthened(path: Tensor, camera: Camera, ball_radius: float) -> Tensor:
+def _lengthened(path: Tensor, ball_radius: float) -> Tensor:
     """Let a path of hardly any length have a little, to the right in the picture."""
     shortest = LEAST_TRAVEL * ball_radius
     if float(torch.linalg.vector_norm(path[-1] - path[0])) >= shortest:

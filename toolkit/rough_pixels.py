@@ -17,7 +17,9 @@ from toolkit.camera import Camera
 from toolkit.view import StreakView
 
 PER_HALF_WIDTH = 6
-"""Blocks to a half width of the streak."""
+"""Blocks to a half width of the streak, where they are not too many."""
+MAX_BLOCKS = 1200
+"""To cover the streak's mask."""
 REACH = 0.8
 """Half widths beyond the streak's mask up to which pixels are looked at, and 2 px more."""
 
@@ -50,7 +52,8 @@ class Spread:
 def block_pixels(view: StreakView, camera: Camera) -> Blocks:
     """Average what was observed about the streak over blocks."""
     half_width = float(view.streak.half_width)
-    size = max(1, round(half_width / PER_HALF_WIDTH))
+    enough = (float(view.streak.mask.sum()) / MAX_BLOCKS) ** 0.5
+    size = max(1, round(max(half_width / PER_HALF_WIDTH, enough)))
     seen = view.observation
     near = _near(view, REACH * half_width + 2)
     usable = near & ~view.clipped[0] & torch.isfinite(seen.variance[0])  # [Q, h, w]

@@ -22,18 +22,18 @@ Points = NDArray[np.float64]
 CANDIDATES = 6
 """Regions that are looked at, the largest."""
 AXIS_POINTS = 64
-MIN_EVENNESS = 0.4
-"""Share of a region and its band together that both must hold; corners and noise cost some."""
-OPAQUE = 1.0
-"""Widths of travel below which a ball covers the middle of its trail all the time."""
+SMALLER = 0.6
+"""Half width of the discs that a region is covered with, over its own."""
+MIN_EVENNESS = 0.6
+"""Share of a region that they must cover; noise and balls that come nearer cost some."""
+LONG = 1.0
+"""Widths of travel from which no other thing is likely to look like a ball's trail."""
 STOUT = 2.0
 """Length over width below which a region may be too short for its tips to be found."""
 SOLID = 0.95
 """Share of its convex hull that such a region fills."""
-CORE = 0.5
-"""Half widths from the outline from which a region's opacity is looked at."""
-CORE_OPACITY = (0.4, 1.8)
-"""Its range where the ball covers that all the time: shades differ from the ball's middle."""
+COVERED = (0.35, 2.0)
+"""Range of a region's opacity, summed, over the ball's area: what it is whatever the motion."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,7 +44,7 @@ class Region:
     axis: Points  # [N, 2] px, from tip to tip
     half_width: float  # px
     travel: float  # px, of the ball's centre
-    evenness: float  # intersection over union of the region and a band of constant width
+    evenness: float  # share of the region that is as wide as a ball's trail would be
 
     @property
     def widths(self) -> float:
@@ -69,12 +69,12 @@ def regions(found: Mask, min_area: int) -> Iterator[Region]:
             axis=axis,
             half_width=half_width,
             travel=max(travel, 0.0),
-            evenness=_evenness(mask, axis, half_width),
+            evenness=_evenness(mask, half_width),
         )
 
 
 def is_of_a_ball(region: Region, opacity: Map | None) -> bool:
-    """Whether a ball can have left a region: it must be even, and a very short one opaque.
+    """Whether a ball can have left a region: it must be even, and a short one as opaque as a ball.
 
     Args:
         region: to be judged.
@@ -82,12 +82,11 @@ def is_of_a_ball(region: Region, opacity: Map | None) -> bool:
     """
     if region.evenness < MIN_EVENNESS:
         return False
-    if opacity is None or region.widths >= OPAQUE:
+    if opacity is None or region.widths >= LONG:
         return True
-    depth = cv2.distanceTransform(region.mask, cv2.DIST_L2, 5)
-    core = float(np.median(opacity[depth >= min(CORE * region.half_width, float(depth.max()))]))
-    low, high = CORE_OPACITY
-    return low < core < high
+    low, high = COVERED
+    covered = float(opacity[region.mask > 0].sum()) / (math.pi * region.half_width**2)
+    return low < covered < high
 
 
 def _straight_axis(mask: Mask) -> tuple[Points, float] | None:
@@ -129,21 +128,17 @@ def _fill_holes(mask: Mask) -> Mask:
     return filled
 
 
-def _evenness(mask: Mask, axis: Points, half_width: float) -> float:
-    """Intersection over union of the region and a band of constant width about its axis."""
-    band = np.zeros_like(mask)
-    is_inner = _between_caps(axis, half_width)
-    # a line through one point, twice, is the disc that thickness makes of it
-    inner = axis[is_inner] if is_inner.any() else axis.mean(0, keepdims=True).repeat(2, axis=0)
-    points = np.round(inner).astype(np.int32)[:, None]
-    cv2.polylines(band, [points], isClosed=False, color=1, thickness=max(1, round(2 * half_width)))
-    union = int(np.count_nonzero(band | mask))
-    return int(np.count_nonzero(band & mask)) / max(union, 1)
+def _evenness(mask: Mask, half_width: float) -> float:
+    """Share of a region that discs, somewhat smaller than the ball's, cover without leaving it.
 
-
-def _between_caps(axis: Points, half_width: float) -> NDArray[np.bool_]:
-    length = np.concatenate([[0.0], np.linalg.norm(np.diff(axis, axis=0), axis=1).cumsum()])
-    return np.asarray((length >= half_width) & (length <= length[-1] - half_width))
+    All of what a ball swept is covered so, whatever its path. [derived]
+    """
+    left, top, width, height = cv2.boundingRect(mask)
+    mask = np.pad(mask[top : top + height, left : left + width], 1)
+    reach = SMALLER * half_width
+    depth = cv2.distanceTransform(mask, cv2.DIST_L2, 5)
+    uncovered = cv2.distanceTransform((depth < reach).astype(np.uint8), cv2.DIST_L2, 5) > reach
+    return 1 - int(np.count_nonzero(uncovered & (mask > 0))) / int(np.count_nonzero(mask))
 
 
 def trace_axis(mask: Mask) -> tuple[Points, float]:
@@ -182,7 +177,9 @@ def trace_axis(mask: Mask) -> tuple[Points, float]:
     )
     along = torch.linspace(0, float(far.max()), AXIS_POINTS, dtype=torch.float64)
     inner = along.clamp(basis.start, basis.stop)
-    line = basis(inner) @ coefficients + (along - inner)[:, None] * (basis(inner, 1) @ coefficients)
+    ahead = basis(inner, 1) @ coefficients
+    ahead = ahead / torch.linalg.vector_norm(ahead, dim=-1, keepdim=True).clamp_min(1)
+    line = basis(inner) @ coefficients + (along - inner)[:, None] * ahead
     return line.numpy(), half_width
 
 
