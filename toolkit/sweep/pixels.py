@@ -22,6 +22,9 @@ OUTLIER = 3.5
 """Standard deviations beyond which such a pixel's difference counts linearly."""
 COARSE = 16
 """px between the places whose derivative of the ray is found; between them it is interpolated."""
+LITTLE = 0.03
+"""px by which interpolated rays may miss their pixels for one step to bring them there."""
+MOST_STEPS = 3
 NOISELESS = 10**9
 """Frames of a background whose noise counts for nothing."""
 
@@ -235,8 +238,8 @@ def _block_mean(values: Tensor, side: int) -> Tensor:
 def find_rays(camera: Camera, place: Tensor) -> Rays:
     """Give the rays of pixels [N, 2] and how they change from one to the next, distortion inside.
 
-    The derivatives are found on a coarse grid and interpolated; with their help one step makes the
-    interpolated rays exact to a millionth of a px.
+    The derivatives are found on a coarse grid and interpolated; with their help one step, behind a
+    wide lens two, makes the interpolated rays exact to a millionth of a px.
     """
     low, high = place.amin(0), place.amax(0) + 1e-9
     counts = ((high - low) / COARSE).ceil().long() + 1
@@ -249,8 +252,11 @@ def find_rays(camera: Camera, place: Tensor) -> Rays:
     rays, J = camera.unproject(grid), camera.J_unproject(grid)
     fine = _interpolated(torch.cat([rays, J.mT.flatten(-2)], dim=-1), (place - low) / (high - low))
     unit, right, down = fine.reshape(3, 3, -1)
-    missing = (place - camera.project(unit.mT)).mT
-    unit = torch.nn.functional.normalize(unit + missing[0] * right + missing[1] * down, dim=0)
+    for _ in range(MOST_STEPS):
+        missing = (place - camera.project(unit.mT)).mT
+        unit = torch.nn.functional.normalize(unit + missing[0] * right + missing[1] * down, dim=0)
+        if not float(missing.abs().max()) > LITTLE:
+            break
     return Rays(unit=unit, right=right, down=down)
 
 
