@@ -19,6 +19,8 @@ CLOSE = 0.15
 """Ball radii to which a path must follow the start, lest the search begin too far away."""
 PIECES = (2, 3, 4, 6, 8, 12)
 """Of the splines tried."""
+SHORTEST_BEND = 2.0
+"""Ball radii of travel from which a bend of the path is looked for."""
 SAMPLES = 65
 FINE, COARSE = 12.0, 7.0
 """Squares to the half width: where the path is chosen, and where a rough start is bettered."""
@@ -169,6 +171,9 @@ def _first_path(start: Start, ball_radius: float) -> SweepPath:
 
 def _asked_for(fit: SweepFit) -> tuple[SweepModel, Tensor] | None:
     """Find the richer path that a single step towards it promises most of, if any is worth it."""
+    _, displacement = fit.state()
+    if float(torch.linalg.vector_norm(displacement)) < SHORTEST_BEND * fit.model.ball_radius:
+        return None
     best, promised = None, 0.0
     doubt = look_for_misfit(fit).factor
     for path in _richer(fit.model.path):

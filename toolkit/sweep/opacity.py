@@ -19,6 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from toolkit.sweep.slow import count_instants, slow_opacity
 from toolkit.sweep.soft import density, soft_ramp, soft_root
 
 PIXEL_VARIANCE = 1 / 12
@@ -96,6 +97,14 @@ def arc_opacity(
         spread: variance of lens and pixel together, px^2.
         ball_radius: m.
     """
+    angle = float(torch.linalg.vector_norm(rays.right[:, 0]))
+    duration = float((stop - start).max())
+    instants = count_instants(arc, duration, spread**0.5 * angle, ball_radius)
+    if instants:
+        passage = _near(arc, rays, start, stop, spread, ball_radius, is_all=True)[0]
+        axes = (rays.unit, rays.right, rays.down)
+        alpha, J_arc, J_spread = slow_opacity(arc, axes, start, stop, spread, ball_radius, instants)
+        return ArcOpacity(passage=passage, alpha=alpha, J_arc=J_arc, J_spread=J_spread)
     near, seen, start, stop = _near(arc, rays, start, stop, spread, ball_radius)
     t, A = near.instant, near.stiffness
     s, s1, s2 = _along(arc @ seen.unit, t)
@@ -107,12 +116,17 @@ def arc_opacity(
     # how q and t_m change from pixel to pixel
     q_right, q_down = 2 * s * right, 2 * s * down
     t_right, t_down = (right * s1 + s * right1) / A, (down * s1 + s * down1) / A
+    # ... and, for a ball that comes or goes, how the length of the crossing does: h ~ 1 / sqrt(A)
+    fan_right, fan_down = -s1 * right1 / A, -s1 * down1 / A
     distance = _poly(arc[0] @ arc[0], 2 * arc[0] @ arc[1], t)
     bend = distance * float((seen.right**2 + seen.down**2).sum(0).mean()) / 2
     over = _Spread(
         q=(spread * (q_right**2 + q_down**2) + 2 * (spread * bend) ** 2).sqrt(),
         t=spread * (t_right**2 + t_down**2),
         joint=spread * (q_right * t_right + q_down * t_down),
+        fan=spread * (fan_right**2 + fan_down**2),
+        t_fan=spread * (t_right * fan_right + t_down * fan_down),
+        q_fan=spread * (q_right * fan_right + q_down * fan_down),
     )
     form = _Form(
         instant=t,
@@ -199,9 +213,20 @@ class _Spread:
     q: Tensor  # standard deviation [M]
     t: Tensor  # variance [M]
     joint: Tensor  # covariance of the two [M]
+    fan: Tensor  # variance of half the logarithm of A [M]
+    t_fan: Tensor  # covariance of that with t_m [M]
+    q_fan: Tensor  # and with q [M]
 
-    def __getitem__(self, index: Tensor) -> "_Spread":
-        return _Spread(q=self.q[index], t=self.t[index], joint=self.joint[index])
+    def __getitem__(self, index: Tensor | tuple[slice, None]) -> "_Spread":
+        names = ("q", "t", "joint", "fan", "t_fan", "q_fan")
+        return _Spread(**{name: getattr(self, name)[index] for name in names})
+
+    def of_end(self, h: Tensor, sign: float) -> tuple[Tensor, Tensor]:
+        """Give the variance of t_m +- h at one q, and its covariance with q, where A spreads."""
+        return (
+            self.t - 2 * sign * h * self.t_fan + h * h * self.fan,
+            self.joint - sign * h * self.q_fan,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -231,7 +256,14 @@ class _Form:
 
 
 def _near(
-    arc: Tensor, rays: Rays, start: Tensor, stop: Tensor, spread: float, ball_radius: float
+    arc: Tensor,
+    rays: Rays,
+    start: Tensor,
+    stop: Tensor,
+    spread: float,
+    ball_radius: float,
+    *,
+    is_all: bool = False,
 ) -> tuple[Passage, Rays, Tensor, Tensor]:
     """Find when the ball's centre is nearest to each ray, and keep the rays that it may cover."""
     a0, a1, a2 = arc @ rays.unit
@@ -253,14 +285,14 @@ def _near(
         f = f0 + t * (f1 + t * (f2 + t * (f3 + t * f4)))
         A = (f2 + t * (3 * f3 + t * 6 * f4)).clamp_min(SLACKEST * float(c[1, 1]))
     # room for the spread: a px is about this long at the ball
-    step = float(c[0, 0].sqrt() * torch.linalg.vector_norm(rays.right[:, 0]))
-    slack = REACH * spread**0.5 * step
+    blur = REACH * spread**0.5 * float(torch.linalg.vector_norm(rays.right[:, 0]))
+    slack = blur * float(c[0, 0].sqrt())
     half = (((ball_radius + slack) ** 2 - f).clamp_min(0) / A).sqrt()
-    reach = half + slack * A.rsqrt()
+    reach = half + (slack + blur * half * a1.abs()) * A.rsqrt()
     is_near = (half > 0) & (t + reach > start) & (t - reach < stop)
     index = is_near.nonzero()[:, 0]
     room = ball_radius**2 - f
-    if len(index) < MOSTLY * len(t):
+    if not is_all and len(index) < MOSTLY * len(t):
         t, A, room, start, stop = t[index], A[index], room[index], start[index], stop[index]
         rays = rays[index]
     else:  # to leave out the few that it does not cover costs more than to follow them
@@ -330,14 +362,16 @@ def _smooth_opacity(form: _Form, over: _Spread) -> tuple[Tensor, _Slopes]:
 
     alpha, by_h, zero = 2 * h, torch.full_like(h, 2.0), torch.zeros_like(h)
     by_t, by_variance, by_pull = zero.clone(), zero.clone(), zero.clone()
-    reach = h + 6 * (over.t + square).sqrt()
+    reach = h + 6 * (over.t.sqrt() + h * over.fan.sqrt() + square.sqrt())
     cut = ((middle - reach < form.start) | (middle + reach > form.stop)).nonzero()[:, 0]
     scatter, pull = square - mean**2, over.joint * mean_by_q
     if len(cut):
-        both = over.t[cut] + scatter[cut].clamp_min(0)
+        ends, noise = over[cut], scatter[cut].clamp_min(0)
         total, rise, fall, widening, leaning = torch.zeros(5, len(cut)).to(h).unbind()
         for sign in (1.0, -1.0):
-            width = (both + 2 * sign * pull[cut]).clamp_min(1e-24).sqrt()
+            variance, joint = ends.of_end(mean[cut], sign)
+            variance = variance + noise + 2 * sign * joint * mean_by_q[cut]
+            width = variance.clamp_min(1e-24).sqrt()
             length, passed, by_width = _ramps(
                 middle[cut] + sign * h[cut], width, form.start[cut], form.stop[cut]
             )
@@ -375,7 +409,8 @@ def _ramps(at: Tensor, width: Tensor, start: Tensor, stop: Tensor) -> tuple[Tens
 def _corners(form: _Form, over: _Spread) -> Tensor:
     """Find the rays near a contour and near an end of the exposure: indices [K]."""
     x = form.room / over.q
-    longest = ((form.room + REACH * over.q).clamp_min(0) / form.A).sqrt() + 5 * over.t.sqrt()
+    longest = ((form.room + REACH * over.q).clamp_min(0) / form.A).sqrt()
+    longest = longest + 5 * (over.t.sqrt() + longest * over.fan.sqrt())
     low, high = form.instant - longest, form.instant + longest
     is_cut = (low < form.start) & (high > form.start) | (low < form.stop) & (high > form.stop)
     return (is_cut & (x < RIM) & (x > -REACH)).nonzero()[:, 0]
@@ -396,16 +431,22 @@ def _corner_opacity(form: _Form, over: _Spread) -> tuple[Tensor, _Slopes]:
     z = z * (1 + bent * (1 + 2 * bent))
     weight = density(z) * stretch * 2 * h
     weight = weight * ((longest - shortest) * form.A / over.q)[:, None] * weights
-    pull = over.joint / over.q
-    width = (over.t - pull**2).clamp_min(1e-24).sqrt()
-    middle = form.instant[:, None] + pull[:, None] * z + form.lean[:, None] * h * h
-    half = h * (1 + form.swell[:, None] * h * h)
     start, stop = form.start[:, None], form.stop[:, None]
-    late, late_share, late_widening = _ramps(middle + half, width[:, None], start, stop)
-    early, early_share, early_widening = _ramps(middle - half, width[:, None], start, stop)
+    spread, half = over[:, None], h * (1 + form.swell[:, None] * h * h)
+    ends = []
+    for sign in (1.0, -1.0):
+        variance, joint = spread.of_end(h, sign)
+        pull = joint / spread.q
+        width = (variance - pull**2).clamp_min(1e-24).sqrt()
+        middle = form.instant[:, None] + pull * z + form.lean[:, None] * h * h
+        ends.append((*_ramps(middle + sign * half, width, start, stop), width))
+    (late, late_share, late_widening, late_width), (early, early_share, early_widening, width) = (
+        ends
+    )
+    pull = over.joint / over.q
     risen, both = weight * (late_share - early_share), weight * (late_share + early_share)
     by_room = both / (2 * form.A[:, None] * h.clamp_min(1e-300))
-    by_variance = (weight * (late_widening - early_widening)).sum(-1) / (2 * width)
+    by_variance = (weight * (late_widening / late_width - early_widening / width)).sum(-1) / 2
     by_pull = (risen * z).sum(-1) - 2 * by_variance * pull
     return (weight * (late - early)).sum(-1), _Slopes(
         t=risen.sum(-1),

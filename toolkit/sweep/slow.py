@@ -1,0 +1,98 @@
+"""The opacity of a ball that hardly moves in the picture, or comes straight on: a mean of discs.
+
+Where the image moves less than a few widths of the spread, or along the line of sight, t_m and h no
+longer tell well when a ray is covered: for a ball at rest both are infinite. A disc behind the lens
+is told by how far its rim is; the mean over instants less than half a spread apart is even in the
+velocity, as it must be. [derived]
+"""
+
+import math
+from functools import cache
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from toolkit.sweep.soft import density
+
+SLOW = 5.0
+"""Spreads that the image of a ball moves at most which hardly moves."""
+HEAD_ON = 0.15
+"""Sine of the angle between motion and line of sight below which the ball comes straight on."""
+INSTANTS = 2.5
+"""To each spread that the image moves."""
+MOST = 160
+SHARP = 8.0
+"""Spreads from the rim beyond which a pixel is wholly covered, or not at all."""
+
+
+def count_instants(arc: Tensor, duration: float, spread: float, ball_radius: float) -> int:
+    """Say how many instants tell the mean; 0 where the ball moves too far across for it.
+
+    Args:
+        arc: c0, c1, c2 [3, 3].
+        duration: of the exposure of a ray, exposures.
+        spread: standard deviation of lens and pixel together, radians.
+        ball_radius: m.
+    """
+    distance = float(torch.linalg.vector_norm(arc[0]))
+    ahead = arc[0] / distance
+    velocity = float(torch.linalg.vector_norm(arc[1]))
+    coming = abs(float(arc[1] @ ahead))
+    across = math.sqrt(max(velocity**2 - coming**2, 0.0))
+    travel = duration * (across + coming * ball_radius / distance) / distance / spread
+    if travel > SLOW and across > HEAD_ON * velocity:
+        return 0
+    return min(8 + 4 * math.ceil(INSTANTS * travel / 4), MOST)
+
+
+def slow_opacity(
+    arc: Tensor,
+    rays: tuple[Tensor, Tensor, Tensor],
+    start: Tensor,
+    stop: Tensor,
+    spread: float,
+    ball_radius: float,
+    instants: int,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Give the opacity and its derivatives in arc and spread.
+
+    Args:
+        arc: c0, c1, c2 [3, 3].
+        rays: units and their changes to the right and downwards, [3, N] each.
+        start: of each ray's part of the arc, exposures [N].
+        stop: end of it [N].
+        spread: variance of lens and pixel together, px^2.
+        ball_radius: m.
+        instants: of the mean.
+
+    Returns:
+        Opacity [N], derivative in the arc [9, N], derivative in the spread [N].
+    """
+    u, right, down = rays
+    along, sideways, downwards = arc @ u, arc @ right, arc @ down
+    nodes, weights = _gauss_legendre(instants)
+    alpha, J_spread = torch.zeros_like(start), torch.zeros_like(start)
+    J = torch.zeros(3, 3, len(start), dtype=start.dtype)
+    for node, weight in zip(nodes.tolist(), weights.tolist(), strict=True):
+        t = start + node * (stop - start)
+        share = weight * (stop - start)
+        powers = torch.stack([torch.ones_like(t), t, t * t])
+        s, r, d = ((products * powers).sum(0) for products in (along, sideways, downwards))
+        centre = arc.mT @ powers
+        away = centre - s * u
+        gap = torch.linalg.vector_norm(away, dim=0).clamp_min(1e-3 * ball_radius)
+        width = (s / gap).abs() * (spread * (r * r + d * d)).sqrt()
+        x = ((ball_radius - gap) / width - width / (2 * gap)).clamp(-SHARP, SHARP)
+        alpha += share * torch.special.ndtr(x)
+        steep = share * density(x)
+        J -= powers[:, None] * (steep / (width * gap) * away)
+        J_spread -= steep * ((ball_radius - gap) / width + width / (2 * gap)) / (2 * spread)
+    return alpha, J.flatten(0, 1), J_spread
+
+
+@cache
+def _gauss_legendre(count: int) -> tuple[Tensor, Tensor]:
+    """Nodes and weights on 0 to 1."""
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return torch.from_numpy((nodes + 1) / 2), torch.from_numpy(weights / 2)
