@@ -24,8 +24,10 @@ TOLD_FROM_REST = 9.0
 """Chi-square by which a motion must beat rest to be reported as one: three standard deviations."""
 LIMIT = 2.71
 """Chi-square of the one-sided 95 % limit."""
-DIRECTIONS = 6
-"""Tried in the picture's plane; one more is the line of sight, and between."""
+HOPELESS = 100.0
+"""Chi-square beyond the limit from which no higher speed is tried."""
+DIRECTIONS = 4
+"""Tried across the line of sight; one more is that itself."""
 DOUBLINGS = 12
 BISECTIONS = 5
 
@@ -48,22 +50,24 @@ class SpeedLimit:
 
 def speed_limit(fit: SweepFit, misfit: Misfit) -> SpeedLimit:
     """Find how fast the ball can have been at most, whichever way it went."""
-    allowed = fit.seen.cost + LIMIT * misfit.factor
-    flat, other = _directions(fit)
+    at_rest = _cost_with(fit, _toward(fit) * SLOWEST * fit.model.ball_radius)
+    allowed = max(fit.seen.cost, at_rest) + LIMIT * misfit.factor
+    flat, ahead = _directions(fit)
     across = max(_limit_along(fit, direction, allowed) for direction in flat)
-    return SpeedLimit(
-        any_way=max(across, *(_limit_along(fit, direction, allowed) for direction in other)),
-        across=across,
-    )
+    return SpeedLimit(any_way=max(across, _limit_along(fit, ahead, allowed)), across=across)
 
 
 def _limit_along(fit: SweepFit, direction: Tensor, allowed: float) -> float:
-    """Find where the cost passes the limit, for a motion of one direction."""
-    low, high = 0.0, 0.1 * fit.model.ball_radius
+    """Find the highest speed in one direction whose cost passes; slower ones need not all."""
+    low = high = SLOWEST * fit.model.ball_radius
+    speed = low
     for _ in range(DOUBLINGS):
-        if _cost_with(fit, direction * high) > allowed:
+        cost = _cost_with(fit, direction * speed)
+        if cost <= allowed:
+            low, high = speed, 2 * speed
+        elif cost > allowed + HOPELESS:
             break
-        low, high = high, 2 * high
+        speed *= 2
     for _ in range(BISECTIONS):
         middle = (low + high) / 2
         is_over = _cost_with(fit, direction * middle) > allowed
@@ -99,18 +103,16 @@ def _cost_with(fit: SweepFit, displacement: Tensor) -> float:
     return float(solution.cost[0])
 
 
-def _directions(fit: SweepFit) -> tuple[list[Tensor], list[Tensor]]:
-    """Give unit vectors across the line of sight, and along it and between."""
+def _directions(fit: SweepFit) -> tuple[list[Tensor], Tensor]:
+    """Give unit vectors across the line of sight, and the one along it."""
     position, _ = fit.state()
     ahead = torch.nn.functional.normalize(position, dim=0)
-    right = torch.nn.functional.normalize(
-        torch.linalg.cross(torch.tensor([0.0, 1, 0], dtype=torch.float64), ahead), dim=0
-    )
+    upright = torch.tensor([0.0, 1, 0], dtype=torch.float64)
+    right = torch.nn.functional.normalize(torch.linalg.cross(upright, ahead), dim=0)
     down = torch.linalg.cross(ahead, right)
     angles = [math.pi * k / DIRECTIONS for k in range(DIRECTIONS)]
     flat = [right * math.cos(angle) + down * math.sin(angle) for angle in angles]
-    slanted = [torch.nn.functional.normalize(d + s * ahead, dim=0) for d in flat for s in (-4, 4)]
-    return flat, [ahead, *slanted]
+    return flat, ahead
 
 
 def _toward(fit: SweepFit) -> Tensor:
@@ -119,5 +121,9 @@ def _toward(fit: SweepFit) -> Tensor:
 
 
 def _travel(fit: SweepFit) -> float:
-    _, displacement = fit.state()
-    return float(torch.linalg.vector_norm(displacement))
+    """Give by how much the rim moves at most, as if all motion were across the line of sight, m."""
+    position, displacement = fit.state()
+    distance = float(torch.linalg.vector_norm(position))
+    coming = abs(float(displacement @ position)) / distance
+    across = float(torch.linalg.vector_norm(displacement)) ** 2 - coming**2
+    return math.sqrt(max(across, 0.0)) + coming * fit.model.ball_radius / distance
