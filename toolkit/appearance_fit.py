@@ -24,6 +24,7 @@ def find_appearance(
     guess: Appearance,
     fit: ProfileFit,
     skew: Skew,
+    most_rounds: int = ROUNDS,
 ) -> ProfileFit:
     """Find the unknowns of the ball's appearance, and fit the profiles with them.
 
@@ -34,9 +35,10 @@ def find_appearance(
         guess: from elsewhere, a weak prior.
         fit: the fit with that guess.
         skew: what is known of each profile's skew.
+        most_rounds: after which the search ends even if it has not settled.
     """
     looks = guess
-    for _ in range(ROUNDS):
+    for _ in range(most_rounds):
         looks, fit, change = _improve(profiles, pixels, estimator, guess, looks.values, fit, skew)
         if change < SETTLED:
             break

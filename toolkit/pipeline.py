@@ -12,23 +12,23 @@ from toolkit.camera import Camera
 from toolkit.camera_file import fit_camera
 from toolkit.contours import smooth_contours
 from toolkit.errors import ConfigError, StreakError
-from toolkit.following import Reconstruction, follow_motion
+from toolkit.following import Reconstruction, follow_motion, follow_roughly
 from toolkit.guarded import guarded
 from toolkit.light_change import light_caution
 from toolkit.measurement import Caution, Measurement
 from toolkit.motion import DEPTH, Motion
-from toolkit.reconstruction import check_rays, reconstruct_axis
+from toolkit.reconstruction import check_rays, reconstruct_axis, sketch_axis
 from toolkit.registry import name_of
 from toolkit.result import describe, describe_profiles, profile_table
 from toolkit.rough_motion import rough_motion
 from toolkit.shot_checks import check_readout
 from toolkit.streak import ROI
-from toolkit.streak_fit import ManyColours, fit_streak, settled
+from toolkit.streak_fit import ManyColours, fit_roughly, fit_streak, settled
 from toolkit.sweep.choose import Start
 from toolkit.sweep.describe import describe_sweep
 from toolkit.sweep.doubt import motion_of
 from toolkit.sweep.refine import Shutter, refine
-from toolkit.types import Contours, LinearImage
+from toolkit.types import Contours, LinearImage, ProfileFit
 from toolkit.uncertainty import Uncertainty, covariances
 from toolkit.view import StreakView, observe_streak
 
@@ -143,42 +143,62 @@ def by_sweep(task: Task) -> Measurement:
     Where no motion's image explains the streak, what its contours say is reported instead.
     """
     check_rays(task.camera, task.view.streak.axis)
-    found, refusal = None, None
-    cautions: tuple[Caution, ...] = ()
+    sketch, refusal = None, None
     if _length_in_widths(task.view) >= TRACEABLE:
         try:
-            found, cautions = follow_contours(task)
-        except ManyColours:
-            raise
+            sketch = sketch_motion(task)
         except StreakError as error:  # too few profiles, or a corner: both can be done without
             refusal = error
     try:
-        start = rough_start(task) if found is None else close_start(found)
         likeliest = refine(
             task.view,
             task.estimator,
             task.camera,
             task.ball_radius,
-            start,
+            rough_start(task) if sketch is None else close_start(*sketch),
             task.shutter,
             ball_radius_std=task.ball_radius_std,
             exposure_std_share=task.exposure_std_share,
         )
     except StreakError as error:
-        if found is None:
+        if sketch is None:
             raise refusal or error from None
-        lost = Caution(
-            code="sweep-failed", message=f"{error}; what the contours say is reported instead"
-        )
-        return report_contours(task, found, (*cautions, lost))
+        return contours_instead(task, error)
     _check_depth(motion_of(likeliest.fit), likeliest.uncertainty)
     task.watch.lap("sweep")
     return describe_sweep(
         likeliest,
         exposure=task.exposure,
         drift=task.view.drift,
-        profiles=None if found is None else profile_table(found.fit),
+        profiles=None if sketch is None else profile_table(sketch[0]),
     )
+
+
+def sketch_motion(task: Task) -> tuple[ProfileFit, Motion]:
+    """Find some profiles, and roughly the motion they tell: the exact streak needs no better."""
+    fit = fit_roughly(task.view, task.estimator)
+    contours, fit = smooth_contours(fit)
+    _check_contours_inside(contours, task.size)
+    task.watch.lap("profiles")
+    axis = sketch_axis(fit, contours, task.camera, task.ball_radius)
+    task.watch.lap("axis")
+    motion = follow_roughly(fit, axis, task.camera, task.ball_radius)
+    task.watch.lap("motion")
+    return fit, motion
+
+
+def contours_instead(task: Task, reason: StreakError) -> Measurement:
+    """Report what the contours say where the exact streak was not found; else raise the reason."""
+    try:
+        found, cautions = follow_contours(task)
+    except ManyColours:
+        raise
+    except StreakError:
+        raise reason from None
+    lost = Caution(
+        code="sweep-failed", message=f"{reason}; what the contours say is reported instead"
+    )
+    return report_contours(task, found, (*cautions, lost))
 
 
 def follow_contours(task: Task) -> tuple[Reconstruction, tuple[Caution, ...]]:
@@ -219,11 +239,10 @@ def report_contours(
     return replace(result, warnings=(*result.warnings, *cautions))
 
 
-def close_start(found: Reconstruction) -> Start:
-    """Start the exact fit where the contours say that the ball was."""
-    fit = found.fit
+def close_start(fit: ProfileFit, motion: Motion) -> Start:
+    """Start the exact fit where profiles say that the ball was."""
     return Start(
-        path=found.motion.path,
+        path=motion.path,
         appearance=None if fit.appearance is None else fit.appearance.values,
         blur=float(fit.blur[0]),
         is_close=True,

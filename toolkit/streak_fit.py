@@ -1,7 +1,7 @@
 """Fitting the profiles across a streak, from a rough axis to the smooth course of all of them."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -24,7 +24,7 @@ from toolkit.profile_fit import Start, fit_profiles, refine_profiles
 from toolkit.profile_model import KNOWN_SKEW, Skew, WhitePixels
 from toolkit.profiles import axis_bend, gather_profiles
 from toolkit.streak import refine_axis
-from toolkit.types import ProfileFit, ProfileFlag, Profiles
+from toolkit.types import Appearance, ProfileFit, ProfileFlag, Profiles
 from toolkit.view import StreakView
 
 PROFILE_REACH = 1.5
@@ -69,15 +69,10 @@ def fit_streak(view: StreakView, estimator: AlphaEstimator) -> tuple[ProfileFit,
     Raises:
         StreakError: when too few profiles are good, or the path turns a corner.
     """
-    profiles = _laid_across(view, view.streak.axis, view.streak.half_width, FIRST_LOOK)
-    guess, known = None, estimator
-    if estimator.unknowns():
-        guess = guess_appearance(profiles, float(view.streak.half_width), estimator)
-        known = estimator.settled(guess.values)
-    first, _, excess = _fit_as_seen(profiles, known, view.streak.half_width)
-    half_width = _median_half_width(first)
-    profiles = _laid_across(view, _middle_line(first), half_width, PROFILES)
-    fit, skew, excess = _fit_as_seen(profiles, known, half_width, excess, first)
+    first, guess, known = _first_look(view, estimator)
+    half_width = _median_half_width(first.fit)
+    profiles = _laid_across(view, _middle_line(first.fit), half_width, PROFILES)
+    fit, skew, excess = _fit_as_seen(profiles, known, half_width, first.excess, first.fit)
     half_width = _median_half_width(fit)
     _check_corner(profiles, float(half_width))
     profiles = replace(profiles, variance=profiles.variance * excess)
@@ -97,6 +92,54 @@ def fit_streak(view: StreakView, estimator: AlphaEstimator) -> tuple[ProfileFit,
     fit = widen_for_correlation(fit)
     chi2 = fit.chi2_per_dof * excess
     return replace(fit, chi2_per_dof=chi2, common_misfit=misfit), profiles
+
+
+def fit_roughly(view: StreakView, estimator: AlphaEstimator) -> ProfileFit:
+    """Fit some profiles across the rough axis: enough to start a search that sees every pixel.
+
+    Raises:
+        StreakError: when too few profiles are good, or the path turns a corner.
+    """
+    first, guess, known = _first_look(view, estimator)
+    _check_corner(first.profiles, float(_median_half_width(first.fit)))
+    profiles = replace(first.profiles, variance=first.profiles.variance * first.excess)
+    pixels = WhitePixels.of(profiles)
+    if guess is None:
+        about = smooth_parameters(first.fit)[None]
+        fit = refine_profiles(profiles, known, first.fit, about, first.skew, pixels)
+    else:
+        fit = find_appearance(
+            profiles, pixels, estimator, guess, first.fit, first.skew, most_rounds=1
+        )
+    return replace(fit, chi2_per_dof=fit.chi2_per_dof * first.excess)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Look:
+    """Profiles and the fit of each by itself."""
+
+    profiles: Profiles
+    fit: ProfileFit
+    skew: Skew
+    excess: float
+
+
+def _first_look(
+    view: StreakView, estimator: AlphaEstimator
+) -> tuple[_Look, Appearance | None, AlphaEstimator]:
+    """Fit some profiles across the rough axis.
+
+    Returns:
+        The profiles, a guess of what the estimator leaves open, and the estimator settled on it.
+    """
+    half_width = view.streak.half_width
+    profiles = _laid_across(view, view.streak.axis, half_width, FIRST_LOOK)
+    guess, known = None, estimator
+    if estimator.unknowns():
+        guess = guess_appearance(profiles, float(half_width), estimator)
+        known = estimator.settled(guess.values)
+    fit, skew, excess = _fit_as_seen(profiles, known, half_width)
+    return _Look(profiles=profiles, fit=fit, skew=skew, excess=excess), guess, known
 
 
 def _laid_across(
