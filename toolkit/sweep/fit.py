@@ -11,9 +11,9 @@ from toolkit.sweep.model import Comparison, SweepModel, compare
 from toolkit.sweep.pixels import Frame, StreakPixels
 
 MAX_STEPS = 40
-SETTLED = 2e-3
-"""Chi-square that a further step may promise: a twentieth of a standard deviation, squared."""
-ROUGHLY = 0.05
+SETTLED = 1e-2
+"""Chi-square that a further step may promise: a tenth of a standard deviation, squared."""
+ROUGHLY = 0.5
 """The same on coarse squares."""
 FIRST_DAMPING = 1e-4
 SMALLEST_SPREAD = 0.02

@@ -81,7 +81,7 @@ def refine(
         StreakError: when the search does not settle.
     """
     frame = Frame.of(view, estimator, camera)
-    middle_row = float(camera.project(start.path[len(start.path) // 2])[1])
+    middle_row = float(camera.project(start.path[[0, -1]].mean(0))[1])
     model = SweepModel(
         path=STRAIGHT,
         estimator=estimator,
