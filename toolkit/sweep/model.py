@@ -24,10 +24,11 @@ from toolkit.sweep.colours import (
     plain_colours,
     seen_colours,
 )
-from toolkit.sweep.opacity import ArcOpacity, Passage, arc_opacity
+from toolkit.sweep.opacity import ArcOpacity, Passage
 from toolkit.sweep.paths import SweepPath
 from toolkit.sweep.pixels import StreakPixels
 from toolkit.sweep.shade import Shaded
+from toolkit.sweep.sharp_turns import opacity_parts
 
 HUBER = 3.5
 """Standard deviations beyond which a pixel's misfit counts linearly."""
@@ -86,19 +87,20 @@ class SweepModel:
         start, stop = self.exposure_of(pixels)
         # the spread is that of single pixels; squares of them blur by their own area
         wide = float(spread) + pixels.area_variance - 1 / 12
-        parts = [
-            arc_opacity(arc, pixels.rays, low, high, wide, self.ball_radius)
-            for arc, (low, high) in zip(arcs.coefficients, arcs.limits(start, stop), strict=True)
-        ]
-        if len(parts) == 1 and len(parts[0].alpha) == len(pixels):
-            part = parts[0]
+        parts: list[tuple[ArcOpacity, Tensor, int]] = []
+        for number, (low, high) in enumerate(arcs.limits(start, stop)):
+            arc, J_arc = arcs.coefficients[number], arcs.J[number]
+            for part, J in opacity_parts(arc, pixels.rays, low, high, wide, self.ball_radius):
+                parts.append((part, J_arc if J is None else J @ J_arc, number))
+        if len(parts) == 1 and len(parts[0][0].alpha) == len(pixels):
+            part, J_arc, _ = parts[0]
             return Coverage(
                 alpha=part.alpha,
-                J=torch.cat([arcs.J[0].mT @ part.J_arc, part.J_spread[None]]),
+                J=torch.cat([J_arc.mT @ part.J_arc, part.J_spread[None]]),
                 passage=part.passage,
                 piece=torch.zeros_like(part.passage.index),
             )
-        return _joined(parts, arcs.J, len(pixels))
+        return _joined(parts, self.path.size, len(pixels))
 
     def colours(self, x: Tensor, pixels: StreakPixels, covered: "Coverage") -> BallColours:
         """Give the ball's colour before each covered pixel."""
@@ -155,14 +157,14 @@ class Coverage:
     piece: Tensor  # [N] that arc's number
 
 
-def _joined(parts: list[ArcOpacity], J_arcs: Tensor, count: int) -> Coverage:
-    """Add up what several arcs cover."""
+def _joined(parts: list[tuple[ArcOpacity, Tensor, int]], size: int, count: int) -> Coverage:
+    """Add up what arcs, or pieces of them, cover, each with J [9, K] and its arc's number."""
     alpha, most = torch.zeros(2, count, dtype=torch.float64).unbind()
-    J = torch.zeros(J_arcs.shape[-1] + 1, count, dtype=torch.float64)
+    J = torch.zeros(size + 1, count, dtype=torch.float64)
     # far from all: nothing of the ball is seen, an instant and a stiffness there mean nothing
     rows = torch.tensor([[0.0], [-1.0], [1.0], [1.0]], dtype=torch.float64).repeat(1, count)
     piece = torch.zeros(count, dtype=torch.long)
-    for number, (part, J_arc) in enumerate(zip(parts, J_arcs, strict=True)):
+    for part, J_arc, number in parts:
         p = part.passage
         alpha.index_add_(0, p.index, part.alpha)
         J.index_add_(1, p.index, torch.cat([J_arc.mT @ part.J_arc, part.J_spread[None]]))
