@@ -98,8 +98,8 @@ def arc_opacity(
         ball_radius: m.
     """
     angle = float(torch.linalg.vector_norm(rays.right[:, 0]))
-    duration = float((stop - start).max())
-    instants = count_instants(arc, duration, spread**0.5 * angle, ball_radius)
+    first, last = float(start.min()), float(stop.max())
+    instants = count_instants(arc, first, last, spread**0.5 * angle, ball_radius)
     if instants:
         passage = _near(arc, rays, start, stop, spread, ball_radius, is_all=True)[0]
         axes = (rays.unit, rays.right, rays.down)
@@ -118,7 +118,7 @@ def arc_opacity(
     t_right, t_down = (right * s1 + s * right1) / A, (down * s1 + s * down1) / A
     # ... and, for a ball that comes or goes, how the length of the crossing does: h ~ 1 / sqrt(A)
     fan_right, fan_down = -s1 * right1 / A, -s1 * down1 / A
-    distance = _poly(arc[0] @ arc[0], 2 * arc[0] @ arc[1], t)
+    distance = ball_radius**2 - near.room + s * s  # |C|^2
     bend = distance * float((seen.right**2 + seen.down**2).sum(0).mean()) / 2
     over = _Spread(
         q=(spread * (q_right**2 + q_down**2) + 2 * (spread * bend) ** 2).sqrt(),
@@ -286,7 +286,8 @@ def _near(
         A = (f2 + t * (3 * f3 + t * 6 * f4)).clamp_min(SLACKEST * float(c[1, 1]))
     # room for the spread: a px is about this long at the ball
     blur = REACH * spread**0.5 * float(torch.linalg.vector_norm(rays.right[:, 0]))
-    slack = blur * float(c[0, 0].sqrt())
+    middle = float(start.min() + stop.max()) / 2
+    slack = blur * float(torch.linalg.vector_norm(arc[0] + middle * (arc[1] + middle * arc[2])))
     half = (((ball_radius + slack) ** 2 - f).clamp_min(0) / A).sqrt()
     reach = half + (slack + blur * half * a1.abs()) * A.rsqrt()
     is_near = (half > 0) & (t + reach > start) & (t - reach < stop)

@@ -26,21 +26,26 @@ SHARP = 8.0
 """Spreads from the rim beyond which a pixel is wholly covered, or not at all."""
 
 
-def count_instants(arc: Tensor, duration: float, spread: float, ball_radius: float) -> int:
+def count_instants(
+    arc: Tensor, start: float, stop: float, spread: float, ball_radius: float
+) -> int:
     """Say how many instants tell the mean; 0 where the ball moves too far across for it.
 
     Args:
         arc: c0, c1, c2 [3, 3].
-        duration: of the exposure of a ray, exposures.
+        start: of the exposure, exposures.
+        stop: its end.
         spread: standard deviation of lens and pixel together, radians.
         ball_radius: m.
     """
-    distance = float(torch.linalg.vector_norm(arc[0]))
-    ahead = arc[0] / distance
-    velocity = float(torch.linalg.vector_norm(arc[1]))
-    coming = abs(float(arc[1] @ ahead))
+    t = (start + stop) / 2
+    centre, motion = arc[0] + t * (arc[1] + t * arc[2]), arc[1] + 2 * t * arc[2]
+    distance = max(float(torch.linalg.vector_norm(centre)), ball_radius)
+    velocity = float(torch.linalg.vector_norm(motion))
+    coming = abs(float(motion @ centre)) / distance
     across = math.sqrt(max(velocity**2 - coming**2, 0.0))
-    travel = duration * (across + coming * ball_radius / distance) / distance / spread
+    angle = (across + coming * ball_radius / distance) / distance
+    travel = (stop - start) * angle / spread
     if travel > SLOW and across > HEAD_ON * velocity:
         return 0
     return min(8 + 4 * math.ceil(INSTANTS * travel / 4), MOST)
