@@ -1,6 +1,5 @@
 """What the picture shows away from the ball: the camera's noise, and how the light drifted."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,8 +12,8 @@ from toolkit.errors import MismatchError
 from toolkit.ranks import ranked_value
 from toolkit.types import LinearImage, NoiseModel
 
-SAMPLES = 60_000
-"""Pixels a channel that the statistics look at; their own error is then below 1 %."""
+SAMPLES = 30_000
+"""Pixels a channel, at least, that the statistics look at: a variance is then right to 1 %."""
 LEVELS = 8
 """Groups of equal count by brightness, from which the noise's dependence on the level is read."""
 MIN_STD = 2e-5
@@ -63,9 +62,9 @@ def sample_pair(
     image: LinearImage,
     background: LinearImage,
     ignore: Tensor | None = None,
-    most: int = SAMPLES,
+    least: int = SAMPLES,
 ) -> PairSamples:
-    """Look at shot and background in the same places, about `most` of each channel.
+    """Look at shot and background in the same places, `least` of each channel and not many more.
 
     Raw samples are taken where both pictures still hold them, since demosaicing smooths the noise.
 
@@ -73,10 +72,10 @@ def sample_pair(
         image: the shot.
         background: the scene without the ball.
         ignore: pixels of the ball and of whatever else moved [B, 1, H, W] bool.
-        most: pixels a channel.
+        least: pixels a channel, where there are as many.
     """
     red, green, blue = (
-        _channel_samples(image, background, channel, ignore, most) for channel in range(3)
+        _channel_samples(image, background, channel, ignore, least) for channel in range(3)
     )
     return PairSamples(
         level=(red[0], green[0], blue[0]),
@@ -139,7 +138,7 @@ def scale_background(background: LinearImage, ratio: Tensor) -> LinearImage:
 
 
 def _channel_samples(
-    image: LinearImage, background: LinearImage, channel: int, ignore: Tensor | None, most: int
+    image: LinearImage, background: LinearImage, channel: int, ignore: Tensor | None, least: int
 ) -> tuple[Values, Values]:
     """Mean levels and differences of one channel on an even subset of its raw samples, [N] each."""
     if image.mosaic is not None and background.mosaic is not None and image.pattern is not None:
@@ -148,7 +147,7 @@ def _channel_samples(
     else:
         shot, ground = image.rgb[0, channel], background.rgb[0, channel]
         row, column, step_y, step_x = 0, 0, 1, 1
-    step = max(1, math.ceil((shot.numel() / (step_y * step_x) / most) ** 0.5))
+    step = max(1, int((shot.numel() / (step_y * step_x) / least) ** 0.5))
     sites = (slice(row, None, step_y * step), slice(column, None, step_x * step))
     unusable = [image.clipped, background.clipped, *([] if ignore is None else [ignore])]
     # NumPy from here on: it sorts many times faster than torch

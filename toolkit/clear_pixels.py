@@ -51,7 +51,7 @@ def around(streak: Streak) -> Tensor:
     """Mask the streak with a margin that leaves enough of the picture [B, 1, H, W]."""
     for share in MARGINS:
         ignored = grown(streak.mask, share * float(streak.half_width))
-        if int((~ignored).sum()) >= ENOUGH:
+        if ignored.numel() - np.count_nonzero(ignored.numpy()) >= ENOUGH:
             break
     return ignored
 

@@ -23,6 +23,8 @@ MAX_SIDE = 800
 """px; larger pictures are reduced to this: the search for a whole streak needs no more."""
 SMOOTHING = 1.5
 """px of the reduced picture."""
+LEAST_VARIANCE = 1e-14
+"""Of what an estimator observes: what is below is taken for that much."""
 MIN_SIGNIFICANCE = 5.0
 """Smoothed opacity over its standard deviation: one false pixel in a million."""
 MIN_OPACITY = 0.04
@@ -208,13 +210,17 @@ def _reduced(image: LinearImage, factor: int) -> LinearImage:
             for plane in image.rgb[area][0].numpy()
         ]
         rgb = np.stack(planes)
-    # the largest of the block that starts at a pixel
-    block = np.ones((factor, factor), np.uint8)
-    met_white = cv2.dilate(image.clipped[area][0, 0].numpy().view(np.uint8), block, anchor=(0, 0))
+    met_white = np.zeros((height, width), np.bool_)
+    clipped = image.clipped[area][0, 0].numpy()
+    if clipped.any():
+        # the largest of the block that starts at a pixel
+        block = np.ones((factor, factor), np.uint8)
+        largest = cv2.dilate(clipped.view(np.uint8), block, anchor=(0, 0))
+        met_white = largest[::factor, ::factor] > 0
     return replace(
         image,
         rgb=torch.from_numpy(rgb)[None],
-        clipped=torch.from_numpy(met_white[::factor, ::factor] > 0)[None, None],
+        clipped=torch.from_numpy(met_white)[None, None],
         mosaic=None,
         pattern=None,
     )
@@ -228,10 +234,10 @@ def _evidence(observation: Observation, estimator: AlphaEstimator) -> tuple[Map,
     """Give opacity, its significance, and the share of the change the colour explains, [H, W]."""
     if estimator.unknowns():
         return _plain_evidence(observation)
-    alpha, variance = estimator.alpha(observation)
-    information = 1 / variance
+    alpha, variance = (values[0, 0].float().numpy() for values in estimator.alpha(observation))
+    information = 1 / np.maximum(variance, LEAST_VARIANCE)
     change = observation.signal - observation.ground
-    energy = (change * change / observation.variance).sum(1, keepdim=True)
+    energy = (change * change / observation.variance).sum(1)[0].float().numpy()
     smooth_information = _smooth(information)
     smooth = _smooth(alpha * information) / smooth_information.clip(1e-12)
     std = 1 / np.sqrt(smooth_information * (4 * math.pi * SMOOTHING**2))
@@ -247,22 +253,24 @@ def _plain_evidence(observation: Observation) -> tuple[Map, Map, Map]:
 
     The largest change is taken for half covered.
     """
-    change = observation.signal - observation.ground
-    weights, expected = 1 / observation.variance, change.shape[1]
-    seen, energy = (np.zeros(change.shape[-2:], np.float32) for _ in range(2))
-    for weight, moved in zip(torch.split(weights, 1, 1), torch.split(change, 1, 1), strict=True):
+    change = (observation.signal - observation.ground)[0].float().numpy()
+    variance = observation.variance[0].float().numpy()
+    seen, energy = (np.zeros(change.shape[1:], np.float32) for _ in range(2))
+    for moved, spread in zip(change, variance, strict=True):
+        weight = 1 / np.maximum(spread, LEAST_VARIANCE)
         information = _smooth(weight)
-        mean = _smooth(moved * weight) / information.clip(1e-12)
-        seen += mean * mean * information
-        energy += _smooth(moved * moved * weight)
+        weight *= moved
+        total = _smooth(weight)
+        seen += total * total / np.maximum(information, 1e-12)
+        energy += np.multiply(weight, moved, out=weight)
+    energy, expected = _smooth(energy), len(change)
     significance = np.sqrt(np.maximum(seen * (4 * math.pi * SMOOTHING**2) - expected, 0))
     likeness = seen / np.maximum(energy - expected, seen).clip(1e-12)
     return significance / (2 * max(float(significance.max()), 1e-12)), significance, likeness
 
 
-def _smooth(values: Tensor) -> Map:
-    picture = values[0, 0].to(torch.float32).numpy()
-    return cv2.GaussianBlur(picture, (0, 0), SMOOTHING).astype(np.float32)
+def _smooth(picture: Map) -> Map:
+    return np.asarray(cv2.GaussianBlur(picture, (0, 0), SMOOTHING), np.float32)
 
 
 def _check_roi(roi: ROI, image: LinearImage) -> None:

@@ -95,9 +95,8 @@ def _straight_axis(mask: Mask) -> tuple[Points, float] | None:
     Such a region is as wide as long or nearly, and its tips are no places that a walk would find.
     """
     points = _points(mask)
-    hull = cv2.contourArea(cv2.convexHull(points))
     (_, sides, _) = cv2.minAreaRect(points)
-    if max(sides) > STOUT * min(sides) or len(points) < SOLID * hull:
+    if max(sides) > STOUT * min(sides) or not _is_convex(points):
         return None
     places = points.astype(np.float64)
     middle = places.mean(0)
@@ -113,6 +112,17 @@ def _straight_axis(mask: Mask) -> tuple[Points, float] | None:
 def _points(mask: Mask) -> NDArray[np.int32]:
     """Give the pixels (x, y) of a region [N, 2]."""
     return np.asarray(cv2.findNonZero(mask), np.int32).reshape(-1, 2)
+
+
+def _is_convex(points: NDArray[np.int32]) -> bool:
+    return len(points) >= SOLID * cv2.contourArea(cv2.convexHull(points))
+
+
+def _projected(points: NDArray[np.int_]) -> NDArray[np.float32]:
+    """Give how far each point lies along the longest extent of all, from the first one on, px."""
+    places = points - points.mean(0)
+    share = places @ np.linalg.eigh(places.T @ places)[1][:, 1]
+    return np.asarray(share - share.min(), np.float32)
 
 
 def _extent(places: Points, direction: Points) -> tuple[float, float]:
@@ -146,6 +156,7 @@ def trace_axis(mask: Mask) -> tuple[Points, float]:
 
     Pixels are ordered by their distance from one tip measured inside the region; the middles of
     equal distances make the line, which therefore follows any bend that does not cross itself.
+    In a convex region the distance along its longest extent does as well, and is sooner found.
     [derived]
 
     Args:
@@ -158,12 +169,14 @@ def trace_axis(mask: Mask) -> tuple[Points, float]:
     left, top = int(columns[0]) - 1, int(rows[0]) - 1
     window = np.pad(mask, 1)[rows[0] : rows[-1] + 3, columns[0] : columns[-1] + 3]
     ys, xs = np.nonzero(window)
-    tip = _farthest(window, (int(ys[0]), int(xs[0])))
-    distance = _walk(window, _farthest(window, tip))
-    far = distance[ys, xs]
+    points = np.stack([xs + left, ys + top], axis=-1)
+    if _is_convex(points.astype(np.int32)):
+        far = _projected(points)
+    else:
+        tip = _farthest(window, (int(ys[0]), int(xs[0])))
+        far = _walk(window, _farthest(window, tip))[ys, xs]
     half_width = float(cv2.distanceTransform(window, cv2.DIST_L2, 5).max())
     half_width = min(half_width, mask.sum() / max(2 * float(far.max()), 1.0) * 1.2)
-    points = np.stack([xs + left, ys + top], axis=-1).astype(np.float64)
     edge = min(half_width, far.max() / 4)
     inside = (far >= edge) & (far <= far.max() - edge)
     basis = SplineBasis(
@@ -173,7 +186,7 @@ def trace_axis(mask: Mask) -> tuple[Points, float]:
     )
     order = torch.from_numpy(far[inside].astype(np.float64))
     coefficients, _ = fit_spline(
-        basis, order, torch.from_numpy(points[inside]), torch.ones_like(order)
+        basis, order, torch.from_numpy(points[inside].astype(np.float64)), torch.ones_like(order)
     )
     along = torch.linspace(0, float(far.max()), AXIS_POINTS, dtype=torch.float64)
     inner = along.clamp(basis.start, basis.stop)

@@ -183,11 +183,14 @@ class NoiseModel:
             measured: channels the sensor measured at each pixel [1, 3, H, W] bool; elsewhere the
                 variance is infinite, and the rest counts as raw samples.
         """
-        read, gain = (v[..., None, None].to(level.dtype) for v in (self.read_variance, self.gain))
-        raw = read + gain * box_mean(level, 5).clamp_min(0)
-        if measured is not None:
-            return torch.where(measured, raw, torch.inf)
-        return raw / self.density[:, None, None].to(level.dtype)
+        # within the means, which nobody else holds: pictures are large
+        means = box_mean(level, 5).clamp_min_(0)
+        density = torch.ones(3) if measured is not None else self.density
+        read, gain = (
+            (v / density)[..., None, None].to(level.dtype) for v in (self.read_variance, self.gain)
+        )
+        variance = means.mul_(gain).add_(read)
+        return variance if measured is None else torch.where(measured, variance, torch.inf)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -57,7 +57,7 @@ def observe_streak(
         StreakError: when there is no streak, or it leaves the picture.
         ConfigError: when the region lies outside the picture.
     """
-    first = sample_pair(image, background, most=FIRST_SAMPLES)
+    first = sample_pair(image, background, least=FIRST_SAMPLES)
     light = first.drift()
     check_light(light)
     lit = roughly_lit(image, background, light)

@@ -211,6 +211,19 @@ def test_the_traced_axis_follows_an_arc(turn):
     assert half_width == pytest.approx(10.5, abs=2)
 
 
+@pytest.mark.parametrize("turn", [0.0, 0.4, 1.3, 2.5])
+def test_the_axis_of_a_straight_streak_runs_from_tip_to_tip(turn):
+    direction = np.array([np.cos(turn), np.sin(turn)])
+    ends = 150 + 90 * np.array([[-1], [1]]) * direction
+    mask = np.zeros((300, 300), np.uint8)
+    cv2.line(mask, *ends.round().astype(int).tolist(), 1, thickness=41)
+    axis, half_width = trace_axis(mask)
+    along, across = (axis - 150) @ direction, (axis - 150) @ (-direction[1], direction[0])
+    assert np.abs(across).max() < 0.7
+    assert (np.sort(np.abs(along[[0, -1]])) == pytest.approx(90 + 20.5, abs=1.5)).all()
+    assert half_width == pytest.approx(20.5, abs=2)
+
+
 def test_the_refined_axis_ignores_profiles_without_weight():
     position = torch.arange(80, dtype=torch.float64)
     middle = torch.stack([position, 0.2 * position], dim=-1)
