@@ -155,8 +155,12 @@ def arc_opacity(
     by_q_down = by_q_spread * q_down + spread * by.joint * t_down
     by_t_right = spread * (2 * by.t_spread * t_right + by.joint * q_right) / A
     by_t_down = spread * (2 * by.t_spread * t_down + by.joint * q_down) / A
+    # ... and so does how the crossing leans and swells, for an arc that is bent or might be
+    by_skewness = (1.25 * by.swell * skewness / A - by.lean / 2) / A
+    by_curl = -by.swell / (8 * A)
     by_A = by.A - by_t_right * t_right - by_t_down * t_down
-    by_t = by.t + 3 * by_A * skewness
+    by_A = by_A - (by.lean * form.lean + by.swell * (2 * form.swell + curl / (8 * A))) / A
+    by_t = by.t + 3 * by_A * skewness + by_skewness * curl
     by_t = by_t + 2 * (by_q_right * (s1 * right + s * right1) + by_q_down * (s1 * down + s * down1))
     by_t = (by_t + 2 * s1 * (by_t_right * right1 + by_t_down * down1)) / A
     # ... each derivative in C, C' and C'' is a sum of these vectors, of u, and of its changes
@@ -182,6 +186,12 @@ def arc_opacity(
         by_C2 = by_A * (arc[0][:, None] + t * arc[1][:, None] - s * seen.unit)
     else:
         by_C2 = arc.mT @ _powers(by_A, None, None, t) - (by_A * s) * seen.unit
+        by_C2 += 2 * by_skewness * t * arc[2][:, None]
+        bend_across = 2 * arc[2][:, None] - s2 * seen.unit
+        by_C1 += by_skewness * bend_across
+        by_C2 += 2 * by_curl * bend_across
+        J1 = J1 + by_skewness * bend_across
+    by_C2 += by_skewness * (arc[1][:, None] - s1 * seen.unit)
     J2 = t * (J1 + by_C1) + 2 * by_C2
     return ArcOpacity(passage=near, alpha=alpha, J_arc=torch.cat([J0, J1, J2]), J_spread=J_spread)
 
@@ -339,10 +349,12 @@ class _Slopes:
     t_spread: Tensor  # variance of t_m
     joint: Tensor  # covariance of the two
     bend: Tensor  # what q falls by on both sides, m^2
+    lean: Tensor
+    swell: Tensor
 
     def put(self, index: Tensor, part: "_Slopes") -> None:
         """Put others in some places."""
-        for name in ("t", "q", "A", "q_spread", "t_spread", "joint", "bend"):
+        for name in ("t", "q", "A", "q_spread", "t_spread", "joint", "bend", "lean", "swell"):
             getattr(self, name)[index] = getattr(part, name)
 
 
@@ -383,14 +395,21 @@ def _smooth_opacity(form: _Form, over: _Spread) -> tuple[Tensor, _Slopes]:
             leaning = leaning + by_width / width
         alpha[cut], by_t[cut], by_h[cut] = total, rise, fall
         by_variance[cut], by_pull[cut] = widening, leaning
+    swollen, leant = by_h * mean * form.swell, by_t * form.lean
+    by_mean = by_h * (1 + form.swell * square)
     return alpha, _Slopes(
         t=by_t,
-        q=by_h * mean_by_q + by_variance * (share / A - 2 * mean * mean_by_q),
-        A=-(by_h * mean / 2 + by_variance * scatter + by_pull * pull / 2) / A,
+        q=by_mean * mean_by_q
+        + by_variance * (share / A - 2 * mean * mean_by_q)
+        + (swollen + leant) * (share / A),
+        A=-(by_mean * mean / 2 + by_variance * scatter + by_pull * pull / 2) / A
+        - (swollen + leant) * (square / A),
         q_spread=by_h * mean_by_spread + by_variance * (dense / A - 2 * mean * mean_by_spread),
         t_spread=by_variance,
         joint=by_pull * mean_by_q,
         bend=-by_h * bend / (root_q * root_A),
+        lean=by_t * square,
+        swell=by_h * mean * square,
     )
 
 
@@ -446,17 +465,20 @@ def _corner_opacity(form: _Form, over: _Spread) -> tuple[Tensor, _Slopes]:
     )
     pull = over.joint / over.q
     risen, both = weight * (late_share - early_share), weight * (late_share + early_share)
-    by_room = both / (2 * form.A[:, None] * h.clamp_min(1e-300))
+    by_h = both * (1 + 3 * form.swell[:, None] * h * h) + risen * 2 * form.lean[:, None] * h
+    by_room = by_h / (2 * form.A[:, None] * h.clamp_min(1e-300))
     by_variance = (weight * (late_widening / late_width - early_widening / width)).sum(-1) / 2
     by_pull = (risen * z).sum(-1) - 2 * by_variance * pull
     return (weight * (late - early)).sum(-1), _Slopes(
         t=risen.sum(-1),
         q=by_room.sum(-1),
-        A=-(both * h).sum(-1) / (2 * form.A),
+        A=-(by_h * h).sum(-1) / (2 * form.A),
         q_spread=(by_room * z).sum(-1) - by_pull * pull / over.q,
         t_spread=by_variance,
         joint=by_pull / over.q,
         bend=-(by_room * z * z).sum(-1),
+        lean=(risen * h * h).sum(-1),
+        swell=(both * h * h * h).sum(-1),
     )
 
 
