@@ -24,8 +24,11 @@ SIGNIFICANCE = 6.0
 """Steepness over that of noise from which it counts."""
 MIN_STEEP = 400
 """Steep places without which nothing can be told."""
-MIN_AGREEMENT = 0.3
-"""Share of the background's steps that the shot must show: 1 in the same scene, 0 in another."""
+SEEN = 0.3
+"""Share of a background's step from which the shot shows it: 1 in the same scene."""
+MIN_AGREEMENT = 0.35
+"""Share of the steps that the shot must show beyond those it shows the other way round, which are
+as many in another scene; a large ball hides most."""
 MIN_SHIFT = 3.0
 """px of the stored picture; what is less is left to the fit."""
 UNMOVED = 0.25
@@ -117,9 +120,9 @@ def _steep(picture: Map, slope: Map) -> Mask:
 
 
 def _agreement(shot: Map, ground: Map, is_steep: Mask) -> float:
-    """Median share of the background's slope that the shot has too."""
+    """Share of the background's steps that the shot shows, less those it shows reversed."""
     share = (shot * ground).sum(0)[is_steep] / (ground * ground).sum(0)[is_steep]
-    return float(ranked_value(share))
+    return float((share > SEEN).mean() - (share < -SEEN).mean())
 
 
 def _change(shot: Map, ground: Map, is_steep: Mask) -> float:

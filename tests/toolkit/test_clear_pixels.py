@@ -51,7 +51,7 @@ def test_a_wrong_light_is_not_followed():
 @pytest.mark.parametrize("width", [60, 200])
 @pytest.mark.parametrize("noise", [0.005, 0.03])
 def test_a_ball_that_fills_the_picture_hides_neither_scene_nor_noise(width, noise):
-    shot = still_ball(width, noise)
+    shot = still_ball(width, noise, seed=width)
     view = observe_streak(shot.image, shot.background, Uniform())
     assert float(view.streak.half_width) == pytest.approx(width / 2, rel=0.1)
     assert torch.allclose(view.noise.read_variance.sqrt(), torch.tensor(noise), rtol=0.3)
