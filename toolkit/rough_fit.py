@@ -5,7 +5,7 @@ the path, however short that is. [derived]
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -13,10 +13,13 @@ from torch import Tensor
 from toolkit.alpha import AlphaEstimator, Chord
 from toolkit.camera import Camera
 from toolkit.least_squares import minimise
+from toolkit.rough_path import RoughPath
 from toolkit.rough_pixels import Blocks
 
 INSTANTS_PER_HALF_WIDTH = 4
 MIN_INSTANTS, MAX_INSTANTS = 9, 64
+RIM = math.sqrt(5)
+"""Half width of a parabola over its standard deviation."""
 LENS = 0.7
 """px of blur behind an ordinary lens."""
 MODEL_ERROR = 0.05
@@ -34,56 +37,10 @@ SLANT = 2.0
 """Travel along the line of sight over all of it and the ball's radius: nothing unusual."""
 BEND = 2.0
 """The same of an acceleration, per exposure squared: it bends the path by an eighth of that."""
+NEAREST, FARTHEST = 0.7, 2.0
+"""Bounds of the distance over that told by the mask's width, which is rather too large."""
 LATEST_CORNER = 0.45
 """Share of the exposure from its middle up to which a corner may lie."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RoughPath:
-    """Where the ball is at shares t = -0.5 to 0.5 of the exposure.
-
-    Without a corner the coefficients multiply 1, t and perhaps t^2. With one at t = q they multiply
-    1, t - q before it, t - q after it and perhaps (t - q)^2: one acceleration acts on both arms.
-    """
-
-    coefficients: Tensor  # [K, 3] m
-    corner: float | None = None
-
-    def basis(self, time: Tensor) -> Tensor:
-        """Give the functions of time that the coefficients multiply, [T, K]."""
-        passed = time - (self.corner or 0.0)
-        slopes = [passed] if self.corner is None else [passed.clamp_max(0), passed.clamp_min(0)]
-        functions = [torch.ones_like(time), *slopes, passed * passed]
-        return torch.stack(functions[: len(self.coefficients)], dim=-1)
-
-    def at(self, time: Tensor) -> Tensor:
-        """Give the places at times [T], [T, 3] m."""
-        return self.basis(time) @ self.coefficients
-
-    def J_corner(self, time: Tensor) -> Tensor:
-        """Give the derivative of `at` in the corner's time, [T, 3]."""
-        passed = time - (self.corner or 0.0)
-        steps = [torch.zeros_like(time), -(passed < 0).double(), -(passed >= 0).double()]
-        return torch.stack([*steps, -2 * passed][: len(self.coefficients)], -1) @ self.coefficients
-
-    @property
-    def parameters(self) -> Tensor:
-        """The coefficients, and the corner's time where there is one, [M]."""
-        corner = self.coefficients.new_tensor([] if self.corner is None else [self.corner])
-        return torch.cat([self.coefficients.flatten(), corner])
-
-    def with_parameters(self, parameters: Tensor) -> "RoughPath":
-        """Give a path of the same kind with other `parameters` [M]."""
-        size = self.coefficients.numel()
-        return RoughPath(
-            coefficients=parameters[:size].reshape(-1, 3),
-            corner=None if self.corner is None else float(parameters[size]),
-        )
-
-    def accelerated(self) -> "RoughPath":
-        """Give the same path as one that may accelerate."""
-        none = torch.zeros_like(self.coefficients[:1])
-        return replace(self, coefficients=torch.cat([self.coefficients, none]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,7 +77,7 @@ class _Discs:
         cls, path: RoughPath, blocks: Blocks, ball_radius: float, count: int | None = None
     ) -> "_Discs":
         """Choose instants that are not far apart on a path, or as many as told."""
-        travel = _travel(path)
+        travel = path.travel()
         if count is None:
             count = math.ceil(INSTANTS_PER_HALF_WIDTH * travel / ball_radius)
             count = min(max(count, MIN_INSTANTS), MAX_INSTANTS)
@@ -139,13 +96,26 @@ class _Discs:
         """
         along = centre @ rays.mT
         distance = ((centre * centre).sum(-1, keepdim=True) - along * along).clamp_min(1e-18).sqrt()
-        inside = (self.ball_radius - distance) / self.softness
-        slope = (-inside * inside / 2).exp() / (math.sqrt(2 * math.pi) * self.softness)
-        return torch.special.ndtr(inside), slope, distance, along
+        # a rim of parabolic shape, far quicker than a Gaussian one
+        reach = RIM * self.softness
+        inside = ((self.ball_radius - distance) / reach).clamp(-1, 1)
+        squared = inside * inside
+        return (
+            0.5 + inside * (0.75 - 0.25 * squared),
+            (0.75 - 0.75 * squared) / reach,
+            distance,
+            along,
+        )
 
 
 def fit_disc(
-    blocks: Blocks, estimator: AlphaEstimator, camera: Camera, start: RoughPath, ball_radius: float
+    blocks: Blocks,
+    estimator: AlphaEstimator,
+    camera: Camera,
+    start: RoughPath,
+    ball_radius: float,
+    *,
+    steps: int = STEPS,
 ) -> RoughFit:
     """Fit a path, and what the estimator leaves open, to the change that every block shows.
 
@@ -155,13 +125,14 @@ def fit_disc(
         camera: of the shot.
         start: a path of the kind that is fitted.
         ball_radius: m.
+        steps: after which the search ends.
     """
     look = _look(blocks, estimator, camera, start, ball_radius)
     unknowns = _first_unknowns(blocks, look, start, ball_radius)
-    path, unknowns, cost = _fit(blocks, look, start, unknowns, ball_radius)
+    path, unknowns, cost = _fit(blocks, look, start, unknowns, ball_radius, steps)
     for _ in range(LOOKS - 1 if _varies(estimator) else 0):
         look = _look(blocks, estimator, camera, path, ball_radius)
-        path, unknowns, cost = _fit(blocks, look, path, unknowns, ball_radius)
+        path, unknowns, cost = _fit(blocks, look, path, unknowns, ball_radius, steps)
     return RoughFit(
         path=path,
         colour=unknowns if len(unknowns) else None,
@@ -171,16 +142,18 @@ def fit_disc(
 
 
 def _fit(
-    blocks: Blocks, look: _Look, start: RoughPath, unknowns: Tensor, ball_radius: float
+    blocks: Blocks,
+    look: _Look,
+    start: RoughPath,
+    unknowns: Tensor,
+    ball_radius: float,
+    steps: int,
 ) -> tuple[RoughPath, Tensor, float]:
     """Fit path and unknowns with given colours, from a start."""
     size = len(start.parameters)
     first = torch.cat([start.parameters, unknowns])
-    limit = torch.full_like(first, torch.inf)
-    if start.corner is not None:
-        limit[size - 1] = LATEST_CORNER
-    contrast = look.colour(unknowns) - blocks.ground
-    std = (blocks.variance + (MODEL_ERROR * contrast) ** 2).sqrt()
+    lower, upper = _bounds(start, first, blocks, ball_radius)
+    std = (blocks.variance + _model_variance(look.colour(unknowns) - blocks.ground)).sqrt()
     discs = _Discs.along(start, blocks, ball_radius)
     J_held = _held(start, first, ball_radius)
 
@@ -200,14 +173,36 @@ def _fit(
     solution = minimise(
         problem,
         first[None],
-        lower=-limit[None],
-        upper=limit[None],
+        lower=lower[None],
+        upper=upper[None],
         huber=HUBER,
-        max_iterations=STEPS,
+        max_iterations=steps,
         tolerance=TOLERANCE,
     )
     found = solution.parameters[0]
     return start.with_parameters(found[:size]), found[size:], float(solution.cost[0])
+
+
+def _model_variance(contrast: Tensor) -> Tensor:
+    """Give the variance by which the model may err, in proportion to a channel's contrast [Q]."""
+    return MODEL_ERROR**2 * (contrast * contrast).mean(0)
+
+
+def _bounds(
+    start: RoughPath, first: Tensor, blocks: Blocks, ball_radius: float
+) -> tuple[Tensor, Tensor]:
+    """Bound the depth by the width of the streak's mask, and the time of a corner, [P] each.
+
+    A large, transparent ball may explain a bent streak better than any other on a straight path.
+    """
+    lower, upper = torch.full_like(first, -torch.inf), torch.full_like(first, torch.inf)
+    place = start.coefficients[0]
+    depth = float(place[2] / torch.linalg.vector_norm(place)) * ball_radius / blocks.half_angle
+    lower[2], upper[2] = NEAREST * depth, FARTHEST * depth
+    if start.corner is not None:
+        corner = len(start.parameters) - 1
+        lower[corner], upper[corner] = -LATEST_CORNER, LATEST_CORNER
+    return lower, upper
 
 
 def _held(start: RoughPath, first: Tensor, ball_radius: float) -> Tensor:
@@ -217,7 +212,7 @@ def _held(start: RoughPath, first: Tensor, ball_radius: float) -> Tensor:
     not bend the path by more than its length.
     """
     sight = torch.nn.functional.normalize(start.at(torch.zeros(1, dtype=torch.float64))[0], dim=0)
-    travel = _travel(start) + ball_radius
+    travel = start.travel() + ball_radius
     slopes = 1 if start.corner is None else 2
     rows = []
     for index in range(1, len(start.coefficients)):
@@ -227,12 +222,6 @@ def _held(start: RoughPath, first: Tensor, ball_radius: float) -> Tensor:
             row[3 * index : 3 * index + 3] = direction / (BEND if is_bend else SLANT) / travel
             rows.append(row)
     return torch.stack(rows)
-
-
-def _travel(path: RoughPath) -> float:
-    """Give about how far the ball goes, m."""
-    points = path.at(torch.linspace(-0.5, 0.5, 17, dtype=torch.float64))
-    return float(torch.linalg.vector_norm(points.diff(dim=0), dim=-1).sum())
 
 
 def _coverage(path: RoughPath, discs: _Discs, blocks: Blocks) -> tuple[Tensor, Tensor]:

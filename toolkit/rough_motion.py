@@ -3,7 +3,7 @@
 A streak shorter than about two and a half widths has no profile that the ball's first and last
 image leave alone, and one with a corner has none about it. The opacity is there all the same: it is
 the mean of the discs that the ball covered. A path is fitted to it on blocks of pixels about a
-sixth of the ball's radius wide, first from the opacity's moments.
+sixth of the ball's radius wide.
 [derived]
 """
 
@@ -14,15 +14,19 @@ from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator
 from toolkit.camera import Camera
-from toolkit.rough_fit import RoughFit, RoughPath, fit_disc
-from toolkit.rough_pixels import Blocks, block_pixels, spread_of
-from toolkit.rough_starts import arc_starts, corner_starts, straight_start
+from toolkit.rough_fit import STEPS, RoughFit, fit_disc
+from toolkit.rough_path import RoughPath
+from toolkit.rough_pixels import Blocks, block_pixels
+from toolkit.rough_starts import arc_starts, corner_starts, straight_start, turned_starts
+from toolkit.types import Streak
 from toolkit.view import StreakView
 
 PATH_POINTS = 65
 """Instants at which the path is given."""
 EVIDENCE = 15.0
 """By how much the squared residuals must fall for a path with three more numbers, or one."""
+FIRST_STEPS = 8
+"""In which the most promising of several starts shows."""
 LEAST_TRAVEL = 0.05
 """Ball radii: how far a still ball is said to travel."""
 
@@ -51,9 +55,9 @@ def rough_motion(
         RoughMotion of the branch that moves right in the picture, or down, or away.
     """
     blocks = block_pixels(view, camera)
-    start = straight_start(spread_of(blocks, estimator), camera, ball_radius)
-    found = fit_disc(blocks, estimator, camera, start, ball_radius)
-    found = _bent(found, blocks, view, estimator, camera, ball_radius)
+    search = _Search(blocks=blocks, estimator=estimator, camera=camera, ball_radius=ball_radius)
+    start = straight_start(view.streak, camera, ball_radius)
+    found = search.simplest(start, view.streak)
     path = found.path.at(torch.linspace(-0.5, 0.5, PATH_POINTS).double())
     path, corner = _lengthened(path, ball_radius), found.path.corner
     if not _runs_forward(path, camera):
@@ -61,28 +65,39 @@ def rough_motion(
     return RoughMotion(path=path, corner=corner, colour=found.colour)
 
 
-def _bent(
-    straight: RoughFit,
-    blocks: Blocks,
-    view: StreakView,
-    estimator: AlphaEstimator,
-    camera: Camera,
-    ball_radius: float,
-) -> RoughFit:
-    """Give an arc, or a path with a corner, where the opacity clearly asks for one."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Search:
+    """For the path that explains the opacity: straight, an arc, or one with a corner."""
 
-    def best(starts: list[RoughPath]) -> RoughFit:
-        fits = (fit_disc(blocks, estimator, camera, start, ball_radius) for start in starts)
-        return min(fits, key=lambda fit: fit.cost)
+    blocks: Blocks
+    estimator: AlphaEstimator
+    camera: Camera
+    ball_radius: float
 
-    arc = best(arc_starts(straight.path, view.streak, camera))
-    if straight.cost < arc.cost + EVIDENCE:
-        return straight
-    corner = best(corner_starts(arc.path, view.streak, camera))
-    if arc.cost < corner.cost + EVIDENCE:
-        return arc
-    accelerated = best([corner.path.accelerated()])
-    return corner if corner.cost < accelerated.cost + EVIDENCE else accelerated
+    def simplest(self, start: RoughPath, streak: Streak) -> RoughFit:
+        """Give the simplest path beside which no other explains clearly more."""
+        straight = self.fit(start)
+        arc = self.best(arc_starts(straight.path, streak, self.camera))
+        if straight.cost < arc.cost + EVIDENCE:
+            return straight
+        corner = self.best(corner_starts(arc.path, streak, self.camera))
+        turned = self.best(turned_starts(corner.path))
+        corner = min(corner, turned, key=lambda fit: fit.cost)
+        if arc.cost < corner.cost + EVIDENCE:
+            return arc
+        accelerated = self.fit(corner.path.accelerated())
+        return corner if corner.cost < accelerated.cost + EVIDENCE else accelerated
+
+    def best(self, starts: list[RoughPath]) -> RoughFit:
+        """Search from where a few steps lead farthest down."""
+        first = [self.fit(start, steps=FIRST_STEPS) for start in starts]
+        return self.fit(min(first, key=lambda fit: fit.cost).path)
+
+    def fit(self, start: RoughPath, steps: int = STEPS) -> RoughFit:
+        """Fit one path."""
+        return fit_disc(
+            self.blocks, self.estimator, self.camera, start, self.ball_radius, steps=steps
+        )
 
 
 def _lengthened(path: Tensor, ball_radius: float) -> Tensor:

@@ -1,18 +1,12 @@
-"""The streak's surroundings in blocks of pixels, and the moments of the opacity in them.
-
-A straight streak of the disc of radius r that travels L in the picture has the variance r^2 / 4
-across, and r^2 / 4 + L^2 / 12 along its path, whatever the scale of the opacity. [derived]
-"""
+"""The streak's surroundings in blocks of pixels: few numbers that say nearly as much."""
 
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.alpha import AlphaEstimator, Chord
 from toolkit.camera import Camera
 from toolkit.view import StreakView
 
@@ -23,8 +17,6 @@ MAX_BLOCKS = 1200
 REACH = 0.8
 """Half widths beyond the streak's mask up to which pixels are looked at, and 2 px more."""
 
-Map = NDArray[np.float64]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Blocks:
@@ -32,21 +24,12 @@ class Blocks:
 
     size: int  # px along a side
     half_width: float  # px, of the streak as it was found
+    half_angle: float  # radians, the same
     place: Tensor  # [N, 2] px in the picture, of the middles
     rays: Tensor  # [N, 3] unit
     change: Tensor  # [N, Q] signal - ground
     ground: Tensor  # [N, Q]
     variance: Tensor  # [N, Q] of the change, infinite where nothing was measured
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Spread:
-    """What the moments of the opacity say of a straight streak."""
-
-    centre: Tensor  # [2] px
-    half_width: float  # px
-    length: float  # px, of the travel
-    direction: Tensor  # [2] unit
 
 
 def block_pixels(view: StreakView, camera: Camera) -> Blocks:
@@ -71,12 +54,20 @@ def block_pixels(view: StreakView, camera: Camera) -> Blocks:
     return Blocks(
         size=size,
         half_width=half_width,
+        half_angle=_angle(camera, place.mean(0), half_width),
         place=place,
         rays=camera.unproject(place),
         change=mean[:, rows, columns].mT / count,
         ground=ground[:, rows, columns].mT / count,
         variance=torch.where(share > 0, variance[:, rows, columns].mT / count**2, torch.inf),
     )
+
+
+def _angle(camera: Camera, place: Tensor, half_width: float) -> float:
+    """Give the angle of half a width about a place [2] px."""
+    aside = torch.tensor([half_width, 0.0], dtype=place.dtype)
+    left, right = camera.unproject(torch.stack([place - aside, place + aside]))
+    return float((torch.linalg.vector_norm(right - left) / 2).asin())
 
 
 def _near(view: StreakView, reach: float) -> Tensor:
@@ -93,34 +84,3 @@ def _sums(values: Tensor, size: int) -> Tensor:
     height, width = (side // size for side in values.shape[-2:])
     whole = values[:, : height * size, : width * size]
     return whole.reshape(-1, height, size, width, size).sum((2, 4))
-
-
-def spread_of(blocks: Blocks, estimator: AlphaEstimator) -> Spread:
-    """Describe the streak by the first and second moments of its opacity."""
-    opacity = _opacity(blocks, estimator)
-    centre = (opacity[:, None] * blocks.place).sum(0) / opacity.sum()
-    apart = blocks.place - centre
-    covariance = (opacity[:, None] * apart).mT @ apart / opacity.sum()
-    covariance = covariance - torch.eye(2, dtype=torch.float64) * blocks.size**2 / 12
-    (across, along), axes = torch.linalg.eigh(covariance)
-    # the pixels looked at end not far beyond the streak: noise cannot make it much wider or thinner
-    half_width = 2 * float(across.clamp_min(0).sqrt())
-    half_width = min(max(half_width, 0.5 * blocks.half_width), 1.5 * blocks.half_width)
-    length = float((12 * (along - half_width**2 / 4)).clamp_min(0).sqrt())
-    return Spread(centre=centre, half_width=half_width, length=length, direction=axes[:, 1])
-
-
-def _opacity(blocks: Blocks, estimator: AlphaEstimator) -> Tensor:
-    """Give the opacity of every block, to a common factor where the ball's colour is open [N]."""
-    weight = 1 / blocks.variance
-    if estimator.unknowns():
-        # all of the change has one direction, the ball's colour from the mean background
-        contrast = (weight * blocks.change).sum(0) / weight.sum(0)
-        contrast = contrast.expand_as(blocks.change)
-    else:
-        disc = Chord(offset=torch.zeros(1).double(), direction=torch.zeros(1).double())
-        contrast = estimator.foreground(disc, None) - blocks.ground
-    information = (weight * contrast * contrast).sum(-1)
-    opacity: Tensor = (weight * contrast * blocks.change).sum(-1) / information.clamp_min(1e-12)
-    # what was not measured at all says nothing
-    return torch.where(information > 0, opacity, 0)

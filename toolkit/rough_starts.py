@@ -4,24 +4,29 @@ import torch
 from torch import Tensor
 
 from toolkit.camera import Camera
-from toolkit.rough_fit import RoughPath
-from toolkit.rough_pixels import Spread
+from toolkit.rough_path import RoughPath
 from toolkit.types import Streak
 
 FIRST_TRAVEL = 0.3
 """Half widths: with no travel at all nothing would tell the fit which way to go on."""
+TRACED = 1.0
+"""Widths of travel from which the axis may show how a path bends."""
 CORNERS = (-0.25, 0.0, 0.25)
 """Shares of the exposure at which a corner is tried."""
 POINTS = 33
 """Instants at which a path is approximated by another kind."""
 
 
-def straight_start(spread: Spread, camera: Camera, ball_radius: float) -> RoughPath:
-    """Place a straight path, square to the line of sight, where moments say that it is."""
-    travel = max(spread.length, FIRST_TRAVEL * spread.half_width) * spread.direction
-    across = spread.half_width * torch.stack([-spread.direction[1], spread.direction[0]])
+def straight_start(streak: Streak, camera: Camera, ball_radius: float) -> RoughPath:
+    """Place a straight path, square to the line of sight, where the streak's mask lies."""
+    half_width = float(streak.half_width)
+    place = streak.mask[0, 0].nonzero().double().flip(-1)
+    centre = place.mean(0)
+    along = torch.linalg.eigh((place - centre).mT @ (place - centre))[1][:, 1]
+    travel = max(float(streak.travel), FIRST_TRAVEL * half_width) * along
+    across = half_width * torch.stack([-along[1], along[0]])
     sides = torch.stack([-travel / 2, travel / 2, -across, across])
-    first, last, left, right = camera.unproject(spread.centre + sides)
+    first, last, left, right = camera.unproject(centre + sides)
     # the ball touches the cone that its outline makes
     half_angle = torch.atan2(
         torch.linalg.vector_norm(right - left), torch.linalg.vector_norm(right + left)
@@ -31,8 +36,10 @@ def straight_start(spread: Spread, camera: Camera, ball_radius: float) -> RoughP
 
 
 def arc_starts(straight: RoughPath, streak: Streak, camera: Camera) -> list[RoughPath]:
-    """Give the straight path that was found as an arc, and the arc along the streak's axis."""
+    """Give the straight path that was found as an arc, and the arc along a long streak's axis."""
     flat = straight.accelerated()
+    if streak.widths < TRACED:
+        return [flat]
     return [flat, _nearest(*_along_axis(straight, streak, camera), flat)]
 
 
@@ -47,6 +54,24 @@ def corner_starts(arc: RoughPath, streak: Streak, camera: Camera) -> list[RoughP
         along_axis, key=lambda path: float((path.at(passed[0]) - passed[1]).square().sum())
     )
     return [*(_nearest(time, whole, kind) for kind in kinds), closest]
+
+
+def turned_starts(path: RoughPath) -> list[RoughPath]:
+    """Give the paths whose corner is where one ended or began, which sweep a similar region."""
+    first, last = path.at(torch.tensor([-0.5, 0.5], dtype=torch.float64))
+    corner = path.coefficients[0]
+    return [_through(corner, first, last), _through(first, last, corner)]
+
+
+def _through(first: Tensor, corner: Tensor, last: Tensor) -> RoughPath:
+    """Give the path from place to place [3] at one speed."""
+    before, after = corner - first, last - corner
+    lengths = torch.linalg.vector_norm(torch.stack([before, after]), dim=-1)
+    share = (lengths / lengths.sum()).clamp(0.1, 0.9)
+    velocities = torch.stack([before, after]) / share[:, None]
+    return RoughPath(
+        coefficients=torch.cat([corner[None], velocities]), corner=float(share[0]) - 0.5
+    )
 
 
 def _along_axis(path: RoughPath, streak: Streak, camera: Camera) -> tuple[Tensor, Tensor]:
