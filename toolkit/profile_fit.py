@@ -55,6 +55,7 @@ def fit_profiles(
     skew: Skew | None = None,
     tolerance: float = 0.05,
     blur_rounds: int = BLUR_ROUNDS,
+    max_iterations: int = MAX_ITERATIONS,
     start: Start | None = None,
 ) -> ProfileFit:
     """Fit centre, half width and opacity of every profile by batched Gauss-Newton.
@@ -72,6 +73,7 @@ def fit_profiles(
         skew: what is known of each profile's skew; none, when None.
         tolerance: steps below this share of each standard deviation end a profile's search.
         blur_rounds: how often the blur is improved, but for the last time; 1 leaves it as it is.
+        max_iterations: of a search, between two changes of the blur.
         start: where to start instead of a first guess.
 
     Returns:
@@ -92,7 +94,7 @@ def fit_profiles(
             lower=torch.tensor([-reach, 0.5, 0.0, -1.0], dtype=torch.float64),
             upper=torch.tensor([reach, reach, 1.5, 1.0], dtype=torch.float64),
             tolerance=tolerance,
-            max_iterations=MAX_ITERATIONS,
+            max_iterations=max_iterations,
         )
         x = solution.parameters
         iterations += solution.iterations

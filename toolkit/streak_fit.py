@@ -20,7 +20,7 @@ from toolkit.contours import (
 )
 from toolkit.ends import rough_ends
 from toolkit.errors import StreakError
-from toolkit.profile_fit import Start, fit_profiles, refine_profiles
+from toolkit.profile_fit import MAX_ITERATIONS, Start, fit_profiles, refine_profiles
 from toolkit.profile_model import KNOWN_SKEW, Skew, WhitePixels
 from toolkit.profiles import axis_bend, gather_profiles
 from toolkit.streak import refine_axis
@@ -33,6 +33,8 @@ PROFILES = 24
 """To a half width, but never closer than one px: closer ones say no more together."""
 FIRST_LOOK = 8
 """The same in the first look, about."""
+FIRST_ITERATIONS = 7
+"""Most steps in the first look: what has not settled then is hardly a semi-ellipse."""
 START_TOLERANCE = 0.2
 """Standard deviations to which profiles are searched: the refinement needs no better start."""
 REFINEMENTS = (2, 6)
@@ -191,6 +193,7 @@ def _fit_as_seen(
             skew=skew,
             tolerance=START_TOLERANCE,
             blur_rounds=1,  # what is noisy one by one looks sharper than it is
+            max_iterations=FIRST_ITERATIONS if before is None else MAX_ITERATIONS,
             start=start,
         )
         fit = _mark_ends(fit)
