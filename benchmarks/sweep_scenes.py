@@ -61,6 +61,8 @@ FINE, COARSE, LARGE_PX = (0.5, 3), (1.0, 2), 60.0
 
 Pictures err by some 1e-5 of white, which moves nothing by 0.01 of its bound (`sweep_rendering`).
 """
+FINE_LOOK, COARSE_LOOK = (1.0, 3), (2.0, 2)
+"""The same for balls that are not plain, whose looks take most of the time."""
 
 
 def draw_scene(seed: int) -> Scene:
@@ -129,8 +131,10 @@ def fineness(scene: Scene) -> tuple[float, int]:
     """Give the step, px, and the rays along a pixel's side with which to render a scene."""
     middle = scene.path.position(torch.tensor([scene.exposure / 2]))
     limb = project_limb(scene.camera, middle, scene.ball_radius)[0]
-    width = float((limb.amax(0) - limb.amin(0)).min())
-    return FINE if width < LARGE_PX else COARSE
+    is_small = float((limb.amax(0) - limb.amin(0)).min()) < LARGE_PX
+    if isinstance(scene.appearance, PlainBall):
+        return FINE if is_small else COARSE
+    return FINE_LOOK if is_small else COARSE_LOOK
 
 
 def facts(shot: RenderedShot) -> dict[str, float]:

@@ -187,7 +187,7 @@ def _table(rows: list[Row]) -> list[str]:
     nees = column(rows, "nees")
     nees = nees[np.isfinite(nees)]
     sigmas = error / std
-    has_bound = all(row["bound"] for row in rows)
+    has_bound = any(row["bound"] for row in rows)
     lines = {
         "rms error / bound": rms(over_bound(rows)) if has_bound else None,
         "rms error / stated sigma": rms(sigmas),
@@ -243,9 +243,9 @@ def _worst(rows: list[Row]) -> list[str]:
     """The seeds with the largest error of any kind, in bounds or else in stated sigmas."""
     if not rows:
         return []
-    scale = column(rows, "std")
-    if all(row["bound"] for row in rows):
-        scale = column(rows, "bound")
+    stated = column(rows, "std")
+    bound = column(rows, "bound") if any(row["bound"] for row in rows) else stated
+    scale = np.where(np.isfinite(bound), bound, stated)
     errors = np.nan_to_num(np.abs(column(rows, "error") / scale)).max(axis=1)
     order = np.argsort(-errors)[:WORST]
     named = ", ".join(f"{rows[i]['seed']} ({errors[i]:.1f})" for i in order)

@@ -157,14 +157,14 @@ def pigments(appearance: Appearance) -> tuple[Colour, ...]:
     return ()
 
 
-def mean_colour(appearance: Appearance, exposure: float) -> Colour:
-    """Give a ball's light averaged over its disc and the exposure, s, as seen from far away."""
+def mean_colour(appearance: Appearance, exposure: float, instants: int = INSTANTS) -> Colour:
+    """Give a ball's light averaged over its disc and instants of the exposure, s, from far away."""
     side = torch.linspace(-1, 1, DISC_GRID)
     x, y = (axis.flatten() for axis in torch.meshgrid(side, side, indexing="xy"))
     is_inside = x * x + y * y < 1
     x, y = x[is_inside], y[is_inside]
     normal = torch.stack([x, y, -(1 - x * x - y * y).sqrt()], dim=-1)
-    times = ((torch.arange(INSTANTS) + 0.5) * (exposure / INSTANTS)).tolist()
+    times = ((torch.arange(instants) + 0.5) * (exposure / instants)).tolist()
     light = torch.stack([appearance(normal, time).mean(dim=0) for time in times])
     red, green, blue = light.mean(dim=0).tolist()
     return (red, green, blue)
