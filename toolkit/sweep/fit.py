@@ -20,6 +20,9 @@ SMALLEST_SPREAD = 0.02
 LARGEST_SPREAD = 9.0
 """px^2, of lens and pixel; the pixel's own area counts for 1/12."""
 PATH_POINTS = 33
+SPAN_STEPS = 12
+LONGEST_DELAY = 3.0
+"""Exposures by which rows that see the ball may be later or earlier than the middle one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,13 +112,30 @@ def search(
 
 
 def outline(model: SweepModel, x: Tensor) -> tuple[Tensor, float]:
-    """Give the path in the picture [T, 2] px and the largest half width of the ball on it, px."""
+    """Give the path in the picture [T, 2] px and the largest half width of the ball on it, px.
+
+    Where rows are read one after another it is the path while any row sees the ball.
+    """
     points = _path_points(model, x)
+    place, size = model.camera.project(points), float(_half_widths(model, points).max())
+    if not model.row_delay:
+        return place, size
+    span = (-0.5, 0.5)
+    for _ in range(SPAN_STEPS):
+        ends = _path_points(model, x, span)[[0, -1]]
+        rows = model.camera.project(ends)[:, 1] - model.middle_row
+        early, late = (model.row_delay * (rows + torch.tensor([-size, size]))).tolist()
+        span = (max(early, -LONGEST_DELAY) - 0.5, min(late, LONGEST_DELAY) + 0.5)
+    points = _path_points(model, x, span)
+    return model.camera.project(points), float(_half_widths(model, points).max())
+
+
+def _half_widths(model: SweepModel, points: Tensor) -> Tensor:
     focal = max(model.camera.fx, model.camera.fy)
     # seen askew a sphere's image is longer than wide
     distance = torch.linalg.vector_norm(points, dim=-1)
-    size = model.ball_radius * focal * distance / points[:, 2].clamp_min(1e-6) ** 2
-    return model.camera.project(points), float(size.max())
+    sizes: Tensor = model.ball_radius * focal * distance / points[:, 2].clamp_min(1e-6) ** 2
+    return sizes
 
 
 def _is_in_front(model: SweepModel, x: Tensor) -> bool:
@@ -123,6 +143,6 @@ def _is_in_front(model: SweepModel, x: Tensor) -> bool:
     return bool((_path_points(model, x)[:, 2] > model.ball_radius).all())
 
 
-def _path_points(model: SweepModel, x: Tensor) -> Tensor:
+def _path_points(model: SweepModel, x: Tensor, span: tuple[float, float] = (-0.5, 0.5)) -> Tensor:
     arcs = model.path.arcs(x[: model.path.size])
-    return arcs.at(torch.linspace(-0.5, 0.5, PATH_POINTS, dtype=torch.float64))[0]
+    return arcs.at(torch.linspace(*span, PATH_POINTS, dtype=torch.float64))[0]
