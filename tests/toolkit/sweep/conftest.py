@@ -11,7 +11,7 @@ from torch import Tensor
 from plugins.uniform import Uniform
 from toolkit.alpha import AlphaEstimator
 from toolkit.sweep.choose import Start
-from toolkit.sweep.fit import SweepFit, fit_sweep
+from toolkit.sweep.fit import SweepFit, fit_sweep, outline
 from toolkit.sweep.model import SweepModel
 from toolkit.sweep.paths import STRAIGHT, SweepPath
 from toolkit.sweep.pixels import Frame, StreakPixels
@@ -104,10 +104,9 @@ class Streak:
             camera=self.scene.camera,
         )
 
-    def pixels(self, side: int = 1) -> StreakPixels:
-        middle = self.scene.camera.project(self.points())
-        radius = self.scene.ball_radius * self.scene.camera.fx / float(self.points()[:, 2].min())
-        return self.frame().about(middle, 1.05 * radius, side=side)
+    def pixels(self, side: int = 1, path: SweepPath = STRAIGHT) -> StreakPixels:
+        middle, half_width = outline(self.model(path), self.truth(path))
+        return self.frame().about(middle, half_width, side=side)
 
     def fit(self, path: SweepPath = STRAIGHT) -> SweepFit:
         return fit_sweep(self.model(path), self.truth(path), self.frame(), doubt=1.0)
