@@ -161,9 +161,7 @@ def by_sweep(task: Task) -> Measurement:
             exposure_std_share=task.exposure_std_share,
         )
     except StreakError as error:
-        if sketch is None:
-            raise refusal or error from None
-        return contours_instead(task, error)
+        return contours_instead(task, refusal or error)
     _check_depth(motion_of(likeliest.fit), likeliest.uncertainty)
     task.watch.lap("sweep")
     return describe_sweep(

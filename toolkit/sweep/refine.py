@@ -122,7 +122,7 @@ def _check_explained(fit: SweepFit, misfit: Misfit, start: Start) -> None:
     miss = misfit.pixels * fit.pixels.excess
     if miss > UNEXPLAINED:
         raise StreakError(
-            f"no motion of such a ball explains the streak: {miss:.0f} times the noise is left "
+            f"no motion of such a ball explains the streak: {miss:.1f} times the noise is left "
             "(a pattern, light that changes along the path, a changed background); another "
             "estimator may suit the ball, and --estimator auto tries all"
         )
