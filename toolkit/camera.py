@@ -138,6 +138,22 @@ class Camera:
         )
         return self._focal(points)[:, None] * (self._J_distort(normalised) @ J_normalised)
 
+    def J_parameters(self, points: Tensor) -> Tensor:
+        """Give the derivative of `project` in `parameters` at each point [..., 3]: [..., 2, 4 + K].
+
+        A pixel seen at rest has its ray turned by -J_unproject @ J_parameters instead.
+        """
+        x, y = (points[..., :2] / points[..., 2:]).unbind(-1)
+        shown = _distorted(x, y, self._coefficients())
+        zero, one = torch.zeros_like(x), torch.ones_like(x)
+        in_x, in_y = [shown[0], zero, one, zero], [zero, shown[1], zero, one]
+        for change_x, change_y in _J_coefficients(x, y, self._coefficients()):
+            in_x.append(self.fx * change_x)
+            in_y.append(self.fy * change_y)
+        count = 4 + len(self.distortion)
+        rows = [torch.stack(columns[:count], dim=-1) for columns in (in_x, in_y)]
+        return torch.stack(rows, dim=-2)
+
     def unproject(self, pixels: Tensor) -> Tensor:
         """Give the unit viewing ray of each pixel.
 
@@ -257,6 +273,21 @@ def _J_distorted(
         mixed,
         radial + 2 * (y * y * slope + 3 * p1 * y + p2 * x),
     )
+
+
+def _J_coefficients(
+    x: Tensor, y: Tensor, coefficients: tuple[float, ...]
+) -> list[tuple[Tensor, Tensor]]:
+    """Derivative of `_distorted` in each of k1 k2 p1 p2 k3 k4 k5 k6, (x, y)."""
+    k1, k2, _, _, k3, k4, k5, k6 = coefficients
+    r2 = x * x + y * y
+    below = 1 / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+    radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) * below
+    rises = [r2 * below, r2**2 * below, r2**3 * below]
+    rises += [-radial * rise for rise in rises]
+    first, second, third, *rest = [(x * rise, y * rise) for rise in rises]
+    tangential = [(2 * x * y, r2 + 2 * y * y), (r2 + 2 * x * x, 2 * x * y)]
+    return [first, second, *tangential, third, *rest]
 
 
 @lru_cache(maxsize=64)

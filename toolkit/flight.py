@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
+from torch.nn.functional import normalize
 
 from toolkit.axis_curve import Curve, Edges, graze_residual, nearest_parameter, to_centre, whitening
 from toolkit.camera import Camera
@@ -144,28 +145,15 @@ def fit_flight(
         size: STRAIGHT holds the acceleration at 0.
         steps: of the search, at most.
     """
-    free = torch.ones(DURATION + 1, dtype=torch.bool)
-    free[size:SIZE] = False
+    free = free_parameters(size)
 
     def whole(parameters: Tensor) -> Tensor:
         return torch.zeros(DURATION + 1, dtype=torch.float64).masked_scatter(free, parameters)
 
-    rays, swing = seen.edges.rays(camera)
-    whiten = whitening(seen.opacity.covariance, seen.opacity.weight)
+    look = FlightLook.through(camera, seen, ball_radius)
 
     def problem(parameters: Tensor, _: Tensor) -> tuple[Tensor, Tensor]:
-        full = whole(parameters[0])
-        flight = Flight(coefficients=full[:SIZE].reshape(3, 3))
-        sides, J_sides = graze_residual(flight, seen.time, rays, swing, ball_radius)
-        opacity, J_opacity = crossing_opacity(flight, seen.time, seen.opacity.rays, ball_radius)
-        duration = full[DURATION]
-        dimmer = (seen.opacity.opacity - duration * opacity)[:, None]
-        J_dimmer = -torch.cat([duration * J_opacity, opacity[:, None]], dim=1)[:, None]
-        ends, J_ends = _end_residual(flight, seen, camera)
-        profiles = whiten @ torch.cat([to_centre(sides), dimmer], dim=1)[..., None]
-        J_profiles = whiten @ torch.cat([_widened(to_centre(J_sides)), J_dimmer], dim=1)
-        residual = torch.cat([profiles.flatten(), ends])
-        J = torch.cat([J_profiles.flatten(0, 1), _widened(J_ends)])
+        residual, J = look.residual(whole(parameters[0]))
         return residual[None], J[None, :, free]
 
     first = torch.cat([start.coefficients.flatten(), torch.ones(1, dtype=torch.float64)])
@@ -184,6 +172,54 @@ def fit_flight(
         chi2=chi2 - float(ends @ ends),
         converged=bool(solution.converged[0]),
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FlightLook:
+    """What is seen of a flight, through one camera."""
+
+    camera: Camera
+    seen: Sightings
+    ball_radius: float
+    rays: Tensor  # [P, 2, 3] of the edges
+    swing: Tensor  # [P, 2, 3] their change for one px
+    whiten: Tensor  # [P, 3, 3]
+
+    @classmethod
+    def through(cls, camera: Camera, seen: Sightings, ball_radius: float) -> "FlightLook":
+        """Find the rays once, for any flight."""
+        rays, swing = seen.edges.rays(camera)
+        return cls(
+            camera=camera,
+            seen=seen,
+            ball_radius=ball_radius,
+            rays=rays,
+            swing=swing,
+            whiten=whitening(seen.opacity.covariance, seen.opacity.weight),
+        )
+
+    def residual(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
+        """Give by how many standard deviations a flight [10] misses all, and the derivative."""
+        seen, flight = self.seen, Flight(coefficients=parameters[:SIZE].reshape(3, 3))
+        sides, J_sides = graze_residual(flight, seen.time, self.rays, self.swing, self.ball_radius)
+        opacity, J_opacity = crossing_opacity(
+            flight, seen.time, seen.opacity.rays, self.ball_radius
+        )
+        duration = parameters[DURATION]
+        dimmer = (seen.opacity.opacity - duration * opacity)[:, None]
+        J_dimmer = -torch.cat([duration * J_opacity, opacity[:, None]], dim=1)[:, None]
+        ends, J_ends = _end_residual(flight, seen, self.camera)
+        profiles = self.whiten @ torch.cat([to_centre(sides), dimmer], dim=1)[..., None]
+        J_profiles = self.whiten @ torch.cat([_widened(to_centre(J_sides)), J_dimmer], dim=1)
+        residual = torch.cat([profiles.flatten(), ends])
+        return residual, torch.cat([J_profiles.flatten(0, 1), _widened(J_ends)])
+
+
+def free_parameters(size: int) -> Tensor:
+    """Tell which of coefficients and duration are fitted [10] bool."""
+    free = torch.ones(DURATION + 1, dtype=torch.bool)
+    free[size:SIZE] = False
+    return free
 
 
 def with_known_opacity(fit: FlightFit, std: float = 0.0) -> FlightFit:
@@ -213,8 +249,7 @@ def levelled(fit: FlightFit, is_level: bool | None = None) -> FlightFit:
         fit: free flight.
         is_level: None to let the Bayesian information criterion decide.
     """
-    along = torch.zeros_like(fit.covariance[0])
-    along[6:SIZE] = torch.nn.functional.normalize(fit.flight.coefficients[0], dim=0)
+    along = line_of_sight(fit)
     found = along[:SIZE] @ fit.flight.coefficients.flatten()
     variance = along @ fit.covariance @ along
     if float(variance) == 0:  # not accelerated at all
@@ -224,6 +259,13 @@ def levelled(fit: FlightFit, is_level: bool | None = None) -> FlightFit:
     if not is_level:
         return fit
     return replace(fit.moved(-fit.covariance @ along * (found / variance)), is_level=True)
+
+
+def line_of_sight(fit: FlightFit) -> Tensor:
+    """Give the direction of an acceleration along the line of sight, among the parameters [10]."""
+    along = torch.zeros_like(fit.covariance[0])
+    along[6:SIZE] = normalize(fit.flight.coefficients[0], dim=0)
+    return along
 
 
 def crossing_opacity(

@@ -12,6 +12,7 @@ from toolkit.axis_curve import AxisFit, graze_residual, to_centre, whitening
 from toolkit.camera import Camera
 from toolkit.contours import length_in_widths
 from toolkit.ends import Ends, Surroundings, locate_ends, rough_ends
+from toolkit.errors import ConfigError
 from toolkit.flight import (
     SIZE,
     STRAIGHT,
@@ -23,6 +24,7 @@ from toolkit.flight import (
     start_flight,
     with_known_opacity,
 )
+from toolkit.flight_camera import answer_to_camera
 from toolkit.motion import (
     DURATION,
     RATE_SIZES,
@@ -190,16 +192,16 @@ def _follow_straight_flight(
     return replace(found, motion=fit.motion(), flight=fit)
 
 
-def refit_flight(
-    found: Reconstruction, flight: FlightFit, camera: Camera, ball_radius: float
-) -> FlightFit:
-    """Fit the flight again through a camera that differs little."""
-    opacity = opacity_data(found.fit, found.opacity.s, camera)
-    seen = replace(flight.seen, opacity=replace(opacity, weight=flight.seen.opacity.weight))
+def flight_answer(found: Reconstruction, camera: Camera, ball_radius: float) -> Tensor:
+    """Give how the flight's coefficients and duration follow the camera's parameters [10, 4 + K].
+
+    Raises:
+        ConfigError: when the motion found is no flight.
+    """
+    if found.flight is None:
+        raise ConfigError("the motion is no flight; refit its path through another camera instead")
     size = STRAIGHT if found.axis.curve.is_line else SIZE
-    fit = fit_flight(flight.flight, seen, camera, ball_radius, size=size, steps=2)
-    fit = with_known_opacity(fit, opacity_doubt(found.fit))
-    return levelled(fit, is_level=flight.is_level)
+    return answer_to_camera(found.flight, camera, ball_radius, opacity_doubt(found.fit), size)
 
 
 def surroundings(view: StreakView, estimator: AlphaEstimator) -> Surroundings:

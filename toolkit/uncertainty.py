@@ -7,7 +7,7 @@ from torch import Tensor
 
 from toolkit.camera import Camera
 from toolkit.common_residual import misfit_variance
-from toolkit.following import Reconstruction, opacity_data, opacity_doubt, refit_flight
+from toolkit.following import Reconstruction, flight_answer, opacity_data, opacity_doubt
 from toolkit.motion import DURATION, SPEED, describe_motion, noise_covariance, propagate, repace
 from toolkit.reconstruction import refit_axis
 
@@ -117,10 +117,12 @@ def _camera_covariance(found: Reconstruction, camera: Camera, ball_radius: float
         size = len(found.motion.state())
         return torch.zeros(size, size, dtype=torch.float64)
 
+    if found.flight is not None:
+        flight, answer = found.flight, flight_answer(found, camera, ball_radius)
+        return propagate(lambda x: flight.moved(answer @ x).motion().state(), camera.covariance)
+
     def state(shift: Tensor) -> Tensor:
         shifted = camera.with_parameters(camera.parameters + shift)
-        if found.flight is not None:
-            return refit_flight(found, found.flight, shifted, ball_radius).motion().state()
         curve = refit_axis(found.fit, found.axis.curve, found.opacity.s, shifted, ball_radius)
         data = opacity_data(found.fit, found.opacity.s, shifted)
         pace = repace(curve, data, found.pace, ball_radius)

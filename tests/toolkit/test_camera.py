@@ -123,6 +123,23 @@ def test_jacobians_agree_with_automatic_ones(distortion):
     torch.testing.assert_close(rays[:, None] @ J, across, atol=1e-15, rtol=0)
 
 
+@LENS
+def test_what_the_parameters_change_agrees_with_differences(distortion):
+    camera = make_camera(distortion)
+    points = random_points(40)
+    J = camera.J_parameters(points)
+    assert J.shape == (40, 2, len(camera.parameters))
+    for index in range(len(camera.parameters)):
+        step = torch.zeros_like(camera.parameters)
+        step[index] = 1e-5 * max(1.0, abs(float(camera.parameters[index])))
+        ahead, back = (
+            camera.with_parameters(camera.parameters + sign * step).project(points)
+            for sign in (1, -1)
+        )
+        slope = (ahead - back) / (2 * step[index])
+        torch.testing.assert_close(J[..., index], slope, atol=1e-5, rtol=1e-6)
+
+
 def test_leading_axes_dtype_and_neighbours_do_not_matter():
     camera = make_camera(LENSES["five"])
     pixels = random_pixels(camera, 24).reshape(2, 3, 4, 2)
