@@ -176,7 +176,7 @@ def _asked_for(fit: SweepFit) -> tuple[SweepModel, Tensor] | None:
         return None
     best, promised = None, 0.0
     doubt = look_for_misfit(fit).factor
-    for path in _richer(fit.model.path):
+    for path in _richer(fit.model.path, is_explained=fit.pixels.excess == 1):
         model = replace(fit.model, path=path)
         x = _carried(fit, path)
         seen = compare(model, x, fit.pixels)
@@ -187,11 +187,14 @@ def _asked_for(fit: SweepFit) -> tuple[SweepModel, Tensor] | None:
     return best
 
 
-def _richer(path: SweepPath) -> list[SweepPath]:
-    if isinstance(path, BouncePath):
-        return [] if path.is_accelerated else [replace(path, is_accelerated=True)]
+def _richer(path: SweepPath, *, is_explained: bool) -> list[SweepPath]:
+    """Give the paths to try next; what is not the path's fault asks for no more than a parabola."""
     if path == STRAIGHT:
         return [PARABOLA]
+    if not is_explained:
+        return []
+    if isinstance(path, BouncePath):
+        return [] if path.is_accelerated else [replace(path, is_accelerated=True)]
     pieces = path.pieces if isinstance(path, SplinePath) else PIECES[-1]
     finer: list[SweepPath] = [SplinePath(2, n) for n in PIECES if pieces < n]
     return finer[:2]

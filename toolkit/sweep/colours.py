@@ -52,6 +52,19 @@ def plain_colours(estimator: AlphaEstimator, appearance: Tensor) -> BallColours:
     )
 
 
+def lane_colours(
+    estimator: AlphaEstimator, appearance: Tensor, passage: Passage, ball_radius: float
+) -> BallColours:
+    """Give the colours of a ball that shows the same all along a chord, wherever it is."""
+    chord = Chord(offset=_gap(passage, ball_radius), direction=torch.zeros(1, dtype=torch.float64))
+    colour, slope = estimator.foreground_and_slope(chord, appearance)
+    return BallColours(
+        colour=colour.mT.double(),
+        slope=None if slope is None else slope.mT.double(),
+        design=_design(estimator, chord, len(appearance)),
+    )
+
+
 def seen_colours(
     estimator: AlphaEstimator,
     appearance: Tensor,
@@ -78,7 +91,7 @@ def seen_colours(
     # the leading rim, 1, passes first
     stop = ((passage.instant - exposure[0]) / half).clamp(-1, 1)
     start = ((passage.instant - exposure[1]) / half).clamp(-1, 1)
-    gap = (1 - passage.room / ball_radius**2).clamp(0, 1).sqrt() * passage.side
+    gap = _gap(passage, ball_radius)
     is_whole = (start <= -1) & (stop >= 1)
     stretch, count = _stretches(t, arcs, camera, ball_radius)
     rows: list[tuple[Tensor, BallColours]] = []
@@ -128,6 +141,12 @@ def _chord(gap: Tensor, time: Tensor, arcs: Arcs, camera: Camera) -> Chord:
     centre, velocity = arcs.at(time[None])
     x, y = (camera.J_project(centre) @ velocity[..., None])[0, :, 0]
     return Chord(offset=gap, direction=torch.atan2(y, x)[None], place=camera.project(centre))
+
+
+def _gap(passage: Passage, ball_radius: float) -> Tensor:
+    """Distance of each ray from the path, ball radii, positive to the right of the motion."""
+    gap: Tensor = (1 - passage.room / ball_radius**2).clamp(0, 1).sqrt() * passage.side
+    return gap
 
 
 def _middle() -> Chord:

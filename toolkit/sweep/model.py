@@ -21,6 +21,7 @@ from toolkit.sweep.colours import (
     BallColours,
     count_channels,
     is_plain,
+    lane_colours,
     plain_colours,
     seen_colours,
 )
@@ -65,6 +66,11 @@ class SweepModel:
         return is_plain(self.estimator)
 
     @cached_property
+    def is_laned(self) -> bool:
+        """Whether all that differs on the ball is a shade over one colour."""
+        return isinstance(self.estimator, Shaded) and is_plain(self.estimator.innermost)
+
+    @cached_property
     def channels(self) -> int:
         """Number of signal channels, Q."""
         return count_channels(self.estimator)
@@ -107,6 +113,8 @@ class SweepModel:
         shape, _, appearance, _, _ = self.split(x)
         if self.is_plain:
             return plain_colours(self.estimator, appearance)
+        if self.is_laned:
+            return lane_colours(self.estimator, appearance, covered.passage, self.ball_radius)
         return seen_colours(
             self.estimator,
             appearance,

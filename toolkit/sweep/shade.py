@@ -31,6 +31,12 @@ class Shaded(AlphaEstimator):
         return (first, first + 1)
 
     @property
+    def innermost(self) -> AlphaEstimator:
+        """The ball below all shades."""
+        below = self.estimator
+        return below.innermost if isinstance(below, Shaded) else below
+
+    @property
     def shades(self) -> int:
         """Numbers of the shade, and of one below it."""
         below = self.estimator.shades if isinstance(self.estimator, Shaded) else 0
