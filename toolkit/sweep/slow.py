@@ -88,11 +88,13 @@ def slow_opacity(
         away = centre - s * u
         gap = torch.linalg.vector_norm(away, dim=0).clamp_min(1e-3 * ball_radius)
         width = (s / gap).abs() * (spread * (r * r + d * d)).sqrt()
-        x = ((ball_radius - gap) / width - width / (2 * gap)).clamp(-SHARP, SHARP)
+        # how the rim bends counts near the rim alone; in the middle of the disc it has no meaning
+        bend = width / (2 * gap.clamp_min(ball_radius / 2))
+        x = ((ball_radius - gap) / width - bend).clamp(-SHARP, SHARP)
         alpha += share * torch.special.ndtr(x)
         steep = share * density(x)
         J -= powers[:, None] * (steep / (width * gap) * away)
-        J_spread -= steep * ((ball_radius - gap) / width + width / (2 * gap)) / (2 * spread)
+        J_spread -= steep * ((ball_radius - gap) / width + bend) / (2 * spread)
     return alpha, J.flatten(0, 1), J_spread
 
 
