@@ -1,0 +1,69 @@
+import torch
+
+from plugins.uniform import Uniform
+from toolkit import Chord
+from toolkit.sweep.shade import Shaded
+
+COLOUR = (0.5, 0.4, 0.3)
+
+
+def chord(count=9):
+    offset = torch.linspace(-1, 1, count, dtype=torch.float64)
+    return Chord(offset=offset, direction=torch.zeros(1, dtype=torch.float64))
+
+
+def shaded(**options):
+    return Shaded(estimator=Uniform(colour=COLOUR), channels=3, **options)
+
+
+def test_without_a_shade_it_is_the_other_estimator_s_ball():
+    one, base = shaded(), Uniform(colour=COLOUR)
+    none = torch.zeros(6, dtype=torch.float64)
+    for appearance in (None, none):
+        assert torch.allclose(one.foreground(chord(), appearance), base.foreground(chord(), None))
+    assert one.unknowns() == one.shades == 6
+
+
+def test_the_first_power_leans_the_second_lights_both_rims():
+    lean = torch.tensor([0.1, 0, 0, 0, 0, 0], dtype=torch.float64)
+    rims = torch.tensor([0, 0, 0, 0, 0.2, 0], dtype=torch.float64)
+    s = chord().offset
+    plain = shaded().foreground(chord(), None)
+    assert torch.allclose((shaded().foreground(chord(), lean) - plain)[:, 0], 0.1 * s)
+    lit = (shaded().foreground(chord(), rims) - plain)[:, 1]
+    assert torch.allclose(lit, 0.2 * (s * s - 1 / 3))
+
+
+def test_slopes_are_the_change_with_the_offset():
+    looks = torch.tensor([0.1, -0.2, 0.05, 0.3, 0.1, -0.1], dtype=torch.float64)
+    one = chord(50)
+    value, slope = shaded().foreground_and_slope(one, looks)
+    assert torch.equal(value, shaded().foreground(one, looks))
+    step = 1e-6
+    ahead, back = (
+        shaded().foreground(Chord(offset=one.offset + d, direction=one.direction), looks)
+        for d in (step, -step)
+    )
+    assert torch.allclose(slope, (ahead - back) / (2 * step), atol=1e-8)
+
+
+def test_it_keeps_the_unknowns_below_it():
+    open_colour = Shaded(estimator=Uniform(), channels=3)
+    assert open_colour.unknowns() == 9
+    looks = torch.tensor([*COLOUR, 0.1, 0, 0, 0, 0, 0], dtype=torch.float64)
+    known = shaded().foreground(chord(), looks[3:])
+    assert torch.allclose(open_colour.foreground(chord(), looks), known)
+
+
+def test_a_finer_shade_takes_the_next_powers():
+    base = Uniform(colour=COLOUR)
+    assert Shaded.powers_above(base) == (1, 2)
+    first = Shaded(estimator=base, channels=3)
+    assert Shaded.powers_above(first) == (3, 4)
+    finer = Shaded(estimator=first, channels=3, powers=Shaded.powers_above(first))
+    assert finer.shades == finer.unknowns() == 12
+    looks = torch.zeros(12, dtype=torch.float64)
+    looks[6] = 0.1
+    s = chord().offset
+    change = finer.foreground(chord(), looks) - base.foreground(chord(), None)
+    assert torch.allclose(change[:, 0], 0.1 * s**3)
