@@ -158,7 +158,7 @@ def summary(rows: list[Row]) -> str:
         f"be known to {100 * WIDE:.0f} %",
         *_table(known),
         *_wide(wide),
-        *_counts("refused", Counter(_gist(r["refused"]) for r in rows if r["refused"])),
+        *_counts("refused", Counter(gist(r["refused"]) for r in rows if r["refused"])),
         *_counts("caution", Counter(code for row in measured for code in row["cautions"])),
         *_worst(measured),
     ]
@@ -230,7 +230,7 @@ def _wide(rows: list[Row]) -> list[str]:
     ]
 
 
-def _gist(reason: str) -> str:
+def gist(reason: str) -> str:
     """A reason without its numbers, so that equal ones can be counted."""
     return re.sub(r"[-+]?\d[\d.]*(e[-+]?\d+)?", "#", reason)[:150]
 
