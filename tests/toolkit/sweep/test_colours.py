@@ -151,7 +151,7 @@ def test_the_gradient_follows_the_colours(shaded, differences, is_scaled):
         lambda x: torch.tensor([compare(model, x, pixels).cost]).double(), x, 0.3 * scale
     )
     expected = expected[0] * scale / 2
-    # how the ends of cut chords move with the path is left out
-    assert (seen.gradient * scale - expected).norm() < 0.15 * expected.norm()
+    # how the mean colour of a cut chord changes with the path is left out
+    assert (seen.gradient * scale - expected).norm() < 0.2 * expected.norm()
     assert model.opacity(x, pixels).alpha.max() > 0.4
     assert PIXEL_VARIANCE < float(x[k - 1])
