@@ -19,7 +19,7 @@ from toolkit.splines import fit_smooth
 from toolkit.streak_shape import AXIS_POINTS, Map, Mask, Region, is_of_a_ball, regions
 from toolkit.types import LinearImage, NoiseModel, Streak
 
-MAX_SIDE = 800
+MAX_SIDE = 540
 """px; larger pictures are reduced to this: the search for a whole streak needs no more."""
 SMOOTHING = 1.5
 """px of the reduced picture."""
@@ -34,7 +34,7 @@ MIN_AREA = 60
 """px of the picture in which a streak is finally found."""
 FIRST_AREA = 12
 """px of the reduced picture, from which a region is looked at more closely."""
-FINE = 8.0
+FINE = 6.0
 """px of the reduced picture; thinner streaks are looked at in a less reduced window."""
 ZOOM = 3.0
 """Half widths about a region that this window holds, and 8 px more."""
