@@ -47,11 +47,11 @@ class Misfit:
         return self.is_patchy or self.is_common
 
 
-def excess_of(seen: Comparison) -> float:
-    """Give the mean squared misfit of single pixels before the ball, at least 1."""
+def mean_square(seen: Comparison) -> float:
+    """Give the mean squared misfit of single pixels before the ball."""
     is_used = (seen.coverage.alpha > COVERED) & (seen.residual != 0)
     used = int(is_used.sum())
-    return max(1.0, float((seen.residual**2 * is_used).sum()) / max(used, 1))
+    return float((seen.residual**2 * is_used).sum()) / used if used else 1.0
 
 
 def bulk_excess(seen: Comparison) -> float:
@@ -78,10 +78,10 @@ def look_for_misfit(fit: SweepFit) -> Misfit:
     lanes, _, _ = _patch_sigmas(lane, score, sure)
     patches = _mean_square(sigma)
     by_lane = _mean_square(lanes)
-    single = excess_of(seen)
+    single = mean_square(seen)
     is_patchy = patches > 1 + CHANCE * math.sqrt(2 / max(len(sigma), 1))
     is_common = by_lane > 1 + CHANCE * math.sqrt(2 / max(len(lanes), 1))
-    factor = single
+    factor = max(single, 1.0)
     if is_patchy:
         factor = max(factor, patches)
     if is_common:
