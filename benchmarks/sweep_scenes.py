@@ -29,7 +29,6 @@ from torch import Tensor
 from toolkit import Camera
 from toolkit.files import write_whole
 from toolkit.synthetic import (
-    Appearance,
     NoiseLevel,
     PlainBall,
     RenderedShot,
@@ -56,6 +55,8 @@ BORDER = 24
 BLUR_PX, NOISE = (0.0, 1.2), (0.005, 0.03)
 GREY, TEXTURE, BALL_COLOUR, CONTRAST = (0.2, 0.4), 0.1, (0.05, 0.85), 0.4
 BALL_RADIUS, EXPOSURE = 0.05, 0.02
+GROWTH = 0.6
+"""Widths by which a streak may grow where rows are read one after the other."""
 FINE, COARSE, LARGE_PX = (0.5, 3), (1.0, 2), 60.0
 """px between sharp images, and rays along a pixel's side, for balls narrower than this and wider.
 
@@ -65,8 +66,25 @@ FINE_LOOK, COARSE_LOOK = (1.0, 3), (2.0, 2)
 """The same for balls that are not plain, whose looks take most of the time."""
 
 
-def draw_scene(seed: int) -> Scene:
-    """Give the seed's scene."""
+def draw_scene(seed: int, row_delay: float = 0.0) -> Scene:
+    """Give the seed's scene, its rows read one after the other if told by how much, s.
+
+    They are read faster where the streak would grow out of its picture otherwise.
+    """
+    scene = _draw(seed)
+    if row_delay == 0:
+        return scene
+    time = torch.tensor([0.0, 0.5, 1.0], dtype=torch.float64) * scene.exposure
+    first, middle, last = scene.camera.project(scene.path.position(time))[:, 1].tolist()
+    room = GROWTH * _width(scene) * scene.exposure / (last - first) ** 2
+    delay = min(row_delay, room)
+    start = np.array(scene.path.start) - delay * middle * np.array(scene.path.start_velocity)
+    x, y, z = start.tolist()
+    path = replace(scene.path, start=(x, y, z))
+    return replace(scene, path=path, readout=delay * (scene.camera.height - 1))
+
+
+def _draw(seed: int) -> Scene:
     generator = np.random.default_rng([seed, 31])
     width = generator.uniform(*WIDTH_PX)
     distance = math.exp(generator.uniform(*np.log(DISTANCE_R)))
@@ -90,14 +108,9 @@ def draw_scene(seed: int) -> Scene:
     )
 
 
-def sweep_shot(
-    seed: int, cache: Path | None = None, appearance: Appearance | None = None
-) -> RenderedShot:
-    """Give the seed's shot, its ball painted otherwise if told."""
-    scene = draw_scene(seed)
-    return render(
-        scene if appearance is None else replace(scene, appearance=appearance), seed, cache
-    )
+def sweep_shot(seed: int, cache: Path | None = None, row_delay: float = 0.0) -> RenderedShot:
+    """Give the seed's shot."""
+    return render(draw_scene(seed, row_delay), seed, cache)
 
 
 def render(scene: Scene, seed: int, cache: Path | None = None) -> RenderedShot:
@@ -129,22 +142,30 @@ def _stored(file: Path, shape: tuple[int, ...]) -> Tensor:
 
 def fineness(scene: Scene) -> tuple[float, int]:
     """Give the step, px, and the rays along a pixel's side with which to render a scene."""
-    middle = scene.path.position(torch.tensor([scene.exposure / 2]))
-    limb = project_limb(scene.camera, middle, scene.ball_radius)[0]
-    is_small = float((limb.amax(0) - limb.amin(0)).min()) < LARGE_PX
+    is_small = _width(scene) < LARGE_PX
     if isinstance(scene.appearance, PlainBall):
         return FINE if is_small else COARSE
     return FINE_LOOK if is_small else COARSE_LOOK
 
 
+def _width(scene: Scene) -> float:
+    """Width or height of the ball's image at mid-exposure, px, whichever is less."""
+    middle = scene.path.position(torch.tensor([scene.own_time()], dtype=torch.float64))
+    limb = project_limb(scene.camera, middle, scene.ball_radius)[0]
+    return float((limb.amax(0) - limb.amin(0)).min())
+
+
 def facts(shot: RenderedShot) -> dict[str, float]:
     """Say under which conditions a shot was made."""
-    scene, centre, velocity = shot.scene, shot.position.numpy(), shot.velocity.numpy()
+    scene = shot.scene
+    middle = scene.own_time()
+    centre, velocity = shot.position_at(middle).numpy(), shot.velocity_at(middle).numpy()
     distance = float(np.linalg.norm(centre))
     ray, speed = centre / distance, float(np.linalg.norm(velocity))
     focal, sine = scene.camera.fx, scene.ball_radius / distance
     tilt = math.asin(float(velocity @ ray) / speed)
-    ends = scene.path.position(torch.tensor([0.0, scene.exposure], dtype=torch.float64)).numpy()
+    half = velocity * scene.exposure / 2
+    ends = np.array([centre - half, centre + half])
     cosine = float(ends[0] @ ends[1]) / float(np.prod(np.linalg.norm(ends, axis=-1)))
     return {
         "width_px": 2 * focal * math.tan(math.asin(sine)),

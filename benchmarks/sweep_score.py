@@ -27,6 +27,8 @@ COVERED = 1.96
 """Standard deviations of an interval that should hold 95 % of the truths."""
 WIDE = 0.1
 """Share of the speed beyond which its bound puts a shot in a group of its own."""
+SURE = 0.95
+"""Probability from which a sign counts as decided."""
 WORST = 8
 """Shots named for their large errors."""
 
@@ -158,6 +160,7 @@ def summary(rows: list[Row]) -> str:
         f"be known to {100 * WIDE:.0f} %",
         *_table(known),
         *_wide(wide),
+        *_signs(measured),
         *_counts("refused", Counter(gist(r["refused"]) for r in rows if r["refused"])),
         *_counts("caution", Counter(code for row in measured for code in row["cautions"])),
         *_worst(measured),
@@ -205,7 +208,8 @@ def _table(rows: list[Row]) -> list[str]:
         f"mean NEES of six {nees.mean():.2f} +- {math.sqrt(12 / max(1, len(nees))):.2f} "
         f"(median {np.median(nees):.2f}, 5.35 expected); bias is known to "
         f"{1 / math.sqrt(count):.2f}, a share of 0.95 to {math.sqrt(0.0475 / count):.3f}",
-        f"efficiency (bound / rms error), all four: {1 / rms(over_bound(rows)).max():.2f}"
+        f"efficiency (bound / rms error), all four: {1 / rms(over_bound(rows)).max():.2f}; "
+        f"{sum(not row['bound'] for row in rows)} without a bound"
         if has_bound
         else "no bound in these results",
     ]
@@ -227,6 +231,21 @@ def _wide(rows: list[Row]) -> list[str]:
         f"{len(rows)} with a speed that cannot be known so well, {len(still)} of them with an "
         "upper limit alone",
         f"{'share within 95 % interval':32}" + _cells(inside.mean(axis=0)),
+    ]
+
+
+def _signs(rows: list[Row]) -> list[str]:
+    """What is said of the motion's sign, where anything is."""
+    told = [row for row in rows if row["sign_probability"] != 0.5]
+    if not told:
+        return []
+    chance = np.array([row["sign_probability"] for row in told])
+    is_true = np.array([row["is_true_sign"] for row in told])
+    given = np.where(is_true, chance, 1 - chance)
+    sure = chance > SURE
+    return [
+        f"sign: odds told for {len(told)} shots; more than {SURE} for {sure.sum()}, of which "
+        f"{(is_true & sure).sum()} right; mean probability given to the true one {given.mean():.3f}"
     ]
 
 

@@ -66,3 +66,20 @@ def test_the_cache_tells_scenes_apart(shot, tmp_path):
     render(replace(shot.scene, appearance=PlainBall(colour=(0.1, 0.2, 0.8))), 0, tmp_path)
     render(replace(shot.scene, blur=0.4), 0, tmp_path)
     assert len(list(tmp_path.iterdir())) == 3
+
+
+@pytest.mark.parametrize("seed", [5, 9, 13, 26])
+def test_a_readout_leaves_the_streak_in_its_picture(seed):
+    plain, scene = draw_scene(seed), draw_scene(seed, 1e-5)
+    assert scene.readout > 0
+    camera = scene.camera
+
+    def places(scene):
+        time = [scene.own_time(share) for share in (0.0, 0.5, 1.0)]
+        return camera.project(scene.path.position(torch.tensor(time, dtype=torch.float64)))
+
+    # the ball is at the same place when its own row is exposed
+    assert torch.allclose(places(scene)[1], places(plain)[1], atol=0.02)
+    size = torch.tensor([camera.width, camera.height])
+    width = facts(render(scene, 0))["width_px"]
+    assert torch.minimum(places(scene), size - places(scene)).min() > 0.6 * width
