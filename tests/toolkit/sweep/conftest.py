@@ -131,8 +131,8 @@ def streak() -> Callable[..., Streak]:
             scene = benchmark_scene(seed=seed, **(SMALL | options))
             made[key] = render_shot(scene if change is None else change(scene), seed=seed)
         shot = made[key]
-        known = Uniform(colour=shot.scene.appearance.colour)
-        return Streak(shot=shot, estimator=known if estimator is None else estimator)
+        one = estimator or Uniform(colour=shot.scene.appearance.colour)
+        return Streak(shot=shot, estimator=one)
 
     return render
 
