@@ -22,8 +22,8 @@ RIM = math.sqrt(5)
 """Half width of a parabola over its standard deviation."""
 LENS = 0.7
 """px of blur behind an ordinary lens."""
-MODEL_ERROR = 0.05
-"""Of the opacity: soft rims and blocks come no closer to the truth."""
+MODEL_ERROR = 0.08
+"""Of a channel's change, root mean square: soft rims and blocks come no closer to the truth."""
 HUBER = 4.0
 """Standard deviations."""
 STEPS = 30
@@ -31,7 +31,7 @@ TOLERANCE = 0.1
 """Standard deviations of a step that ends the search."""
 LOOKS = 3
 """How often the colours that each pixel saw are found from the path, where they vary."""
-LOOK_INSTANTS = 12
+LOOK_INSTANTS = 16
 """Instants at which they are looked up."""
 SLANT = 2.0
 """Travel along the line of sight over all of it and the ball's radius: nothing unusual."""
@@ -51,6 +51,12 @@ class RoughFit:
     colour: Tensor | None  # [A]
     cost: float  # sum of robust squared residuals
     count: int  # of residuals
+    noise: float  # what noise alone adds to their sum
+
+    @property
+    def excess(self) -> float:
+        """What of the cost the path does not explain, but for noise."""
+        return max(self.cost - self.noise, 0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,16 +135,11 @@ def fit_disc(
     """
     look = _look(blocks, estimator, camera, start, ball_radius)
     unknowns = _first_unknowns(blocks, look, start, ball_radius)
-    path, unknowns, cost = _fit(blocks, look, start, unknowns, ball_radius, steps)
-    for _ in range(LOOKS - 1 if _varies(estimator) else 0):
-        look = _look(blocks, estimator, camera, path, ball_radius)
-        path, unknowns, cost = _fit(blocks, look, path, unknowns, ball_radius, steps)
-    return RoughFit(
-        path=path,
-        colour=unknowns if len(unknowns) else None,
-        cost=cost,
-        count=int(torch.isfinite(blocks.variance).sum()),
-    )
+    found = _fit(blocks, look, start, unknowns, ball_radius, steps)
+    for _ in range(LOOKS - 1 if _varies(estimator) and steps >= STEPS else 0):
+        look = _look(blocks, estimator, camera, found.path, ball_radius)
+        found = _fit(blocks, look, found.path, unknowns, ball_radius, steps)
+    return found
 
 
 def _fit(
@@ -148,12 +149,13 @@ def _fit(
     unknowns: Tensor,
     ball_radius: float,
     steps: int,
-) -> tuple[RoughPath, Tensor, float]:
+) -> RoughFit:
     """Fit path and unknowns with given colours, from a start."""
     size = len(start.parameters)
     first = torch.cat([start.parameters, unknowns])
     lower, upper = _bounds(start, first, blocks, ball_radius)
-    std = (blocks.variance + _model_variance(look.colour(unknowns) - blocks.ground)).sqrt()
+    variance = blocks.variance + _model_variance(blocks)
+    std = variance.sqrt()
     discs = _Discs.along(start, blocks, ball_radius)
     J_held = _held(start, first, ball_radius)
 
@@ -180,12 +182,21 @@ def _fit(
         tolerance=TOLERANCE,
     )
     found = solution.parameters[0]
-    return start.with_parameters(found[:size]), found[size:], float(solution.cost[0])
+    is_seen = torch.isfinite(blocks.variance)
+    return RoughFit(
+        path=start.with_parameters(found[:size]),
+        colour=found[size:] if len(unknowns) else None,
+        cost=float(solution.cost[0]),
+        count=int(is_seen.sum()),
+        noise=float((blocks.variance / variance)[is_seen].sum()),
+    )
 
 
-def _model_variance(contrast: Tensor) -> Tensor:
-    """Give the variance by which the model may err, in proportion to a channel's contrast [Q]."""
-    return MODEL_ERROR**2 * (contrast * contrast).mean(0)
+def _model_variance(blocks: Blocks) -> Tensor:
+    """Give the variance by which the model may err, in proportion to each channel's change [Q]."""
+    is_seen = torch.isfinite(blocks.variance)
+    signal = torch.where(is_seen, blocks.change**2 - blocks.variance, 0).sum(0)
+    return MODEL_ERROR**2 * (signal / is_seen.sum(0).clamp_min(1)).clamp_min(0)
 
 
 def _bounds(

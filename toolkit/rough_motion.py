@@ -7,6 +7,7 @@ sixth of the ball's radius wide.
 [derived]
 """
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -17,14 +18,21 @@ from toolkit.camera import Camera
 from toolkit.rough_fit import STEPS, RoughFit, fit_disc
 from toolkit.rough_path import RoughPath
 from toolkit.rough_pixels import Blocks, block_pixels
-from toolkit.rough_starts import arc_starts, corner_starts, straight_start, turned_starts
+from toolkit.rough_starts import arc_starts, corner_starts, extremes, straight_start
 from toolkit.types import Streak
 from toolkit.view import StreakView
 
 PATH_POINTS = 65
 """Instants at which the path is given."""
-EVIDENCE = 15.0
-"""By how much the squared residuals must fall for a path with three more numbers, or one."""
+EVIDENCE = 30.0
+"""By how much the squared residuals must fall for a path of more numbers."""
+GAIN = 0.4
+"""Share of what a simpler path leaves unexplained that a bent one must explain."""
+WELL, MUCH = 0.5, 0.25
+"""Unexplained per residual of a path that explains all, or share of it where nothing does."""
+SHORTEST_ARM = 0.3
+"""Ball radii."""
+SMALLEST_TURN = math.radians(20)
 FIRST_STEPS = 8
 """In which the most promising of several starts shows."""
 LEAST_TRAVEL = 0.05
@@ -77,16 +85,16 @@ class _Search:
     def simplest(self, start: RoughPath, streak: Streak) -> RoughFit:
         """Give the simplest path beside which no other explains clearly more."""
         straight = self.fit(start)
-        arc = self.best(arc_starts(straight.path, streak, self.camera))
-        if straight.cost < arc.cost + EVIDENCE:
-            return straight
-        corner = self.best(corner_starts(arc.path, streak, self.camera))
-        turned = self.best(turned_starts(corner.path))
-        corner = min(corner, turned, key=lambda fit: fit.cost)
-        if arc.cost < corner.cost + EVIDENCE:
-            return arc
+        distance = float(torch.linalg.vector_norm(start.coefficients[0]))
+        places = extremes(streak, self.camera, distance)
+        arc = self.best(arc_starts(straight.path, places))
+        simpler = arc if _explains_more(arc, straight) else straight
+        corner = self.best(corner_starts(arc.path, places))
+        if not _explains_more(corner, simpler):
+            return simpler
         accelerated = self.fit(corner.path.accelerated())
-        return corner if corner.cost < accelerated.cost + EVIDENCE else accelerated
+        corner = accelerated if accelerated.cost < corner.cost - EVIDENCE / 2 else corner
+        return corner if _has_corner(corner.path, self.ball_radius) else simpler
 
     def best(self, starts: list[RoughPath]) -> RoughFit:
         """Search from where a few steps lead farthest down."""
@@ -98,6 +106,24 @@ class _Search:
         return fit_disc(
             self.blocks, self.estimator, self.camera, start, self.ball_radius, steps=steps
         )
+
+
+def _explains_more(bent: RoughFit, simpler: RoughFit) -> bool:
+    """Whether a path explains so much more that it is not only a ball that looks otherwise."""
+    if simpler.cost - bent.cost < max(EVIDENCE, GAIN * simpler.excess):
+        return False
+    return bent.excess < WELL * bent.count or bent.excess < MUCH * simpler.excess
+
+
+def _has_corner(path: RoughPath, ball_radius: float) -> bool:
+    """Whether both arms are long enough, and their directions different enough, to tell of one."""
+    corner = path.corner or 0.0
+    sight = torch.nn.functional.normalize(path.coefficients[0], dim=0)
+    velocities = path.coefficients[1:3] - (path.coefficients[1:3] @ sight)[:, None] * sight
+    arms = torch.linalg.vector_norm(velocities, dim=-1) * torch.tensor([corner + 0.5, 0.5 - corner])
+    along = torch.nn.functional.normalize(velocities, dim=-1)
+    turn = float((along[0] @ along[1]).clamp(-1, 1).acos())
+    return float(arms.min()) > SHORTEST_ARM * ball_radius and turn > SMALLEST_TURN
 
 
 def _lengthened(path: Tensor, ball_radius: float) -> Tensor:

@@ -1,5 +1,7 @@
 """Paths from which the search for the rough motion starts: straight ones, arcs, and corners."""
 
+import cv2
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -9,10 +11,8 @@ from toolkit.types import Streak
 
 FIRST_TRAVEL = 0.3
 """Half widths: with no travel at all nothing would tell the fit which way to go on."""
-TRACED = 1.0
-"""Widths of travel from which the axis may show how a path bends."""
-CORNERS = (-0.25, 0.0, 0.25)
-"""Shares of the exposure at which a corner is tried."""
+INSIDE = 0.6
+"""Half widths from the streak's outline from which the ball's centre may have been."""
 POINTS = 33
 """Instants at which a path is approximated by another kind."""
 
@@ -35,57 +35,61 @@ def straight_start(streak: Streak, camera: Camera, ball_radius: float) -> RoughP
     return RoughPath(coefficients=distance * torch.stack([(first + last) / 2, last - first]))
 
 
-def arc_starts(straight: RoughPath, streak: Streak, camera: Camera) -> list[RoughPath]:
-    """Give the straight path that was found as an arc, and the arc along a long streak's axis."""
-    flat = straight.accelerated()
-    if streak.widths < TRACED:
-        return [flat]
-    return [flat, _nearest(*_along_axis(straight, streak, camera), flat)]
-
-
-def corner_starts(arc: RoughPath, streak: Streak, camera: Camera) -> list[RoughPath]:
-    """Give paths with a corner at several instants of an arc, and that along the streak's axis."""
+def arc_starts(straight: RoughPath, places: Tensor) -> list[RoughPath]:
+    """Give a straight path as an arc, and the arc through the extremes of the streak [3, 3] m."""
     time = torch.linspace(-0.5, 0.5, POINTS, dtype=torch.float64)
-    whole, passed = arc.at(time), _along_axis(arc, streak, camera)
-    empty = torch.zeros(3, 3, dtype=torch.float64)
-    kinds = [RoughPath(coefficients=empty, corner=corner) for corner in CORNERS]
-    along_axis = [_nearest(*passed, kind) for kind in kinds]
-    closest = min(
-        along_axis, key=lambda path: float((path.at(passed[0]) - passed[1]).square().sum())
-    )
-    return [*(_nearest(time, whole, kind) for kind in kinds), closest]
+    flat, corner = straight.accelerated(), _through(*places)
+    return [flat, _nearest(time, corner.at(time), flat)]
 
 
-def turned_starts(path: RoughPath) -> list[RoughPath]:
-    """Give the paths whose corner is where one ended or began, which sweep a similar region."""
-    first, last = path.at(torch.tensor([-0.5, 0.5], dtype=torch.float64))
-    corner = path.coefficients[0]
-    return [_through(corner, first, last), _through(first, last, corner)]
+def corner_starts(arc: RoughPath, places: Tensor) -> list[RoughPath]:
+    """Give an arc as a path with a corner, and those with one at each extreme of the streak."""
+    time = torch.linspace(-0.5, 0.5, POINTS, dtype=torch.float64)
+    first, middle, last = places
+    bent = RoughPath(coefficients=torch.zeros(3, 3, dtype=torch.float64), corner=0.0)
+    return [
+        _nearest(time, arc.at(time), bent),
+        _through(first, middle, last),
+        _through(middle, first, last),
+        _through(first, last, middle),
+    ]
+
+
+def extremes(streak: Streak, camera: Camera, distance: float) -> Tensor:
+    """Give the two places of the ball farthest apart, and between them that farthest aside.
+
+    Args:
+        streak: whose mask tells where the ball's centre may have been.
+        camera: of the shot.
+        distance: of the ball, m.
+
+    Returns:
+        [3, 3] m, the one aside in the middle.
+    """
+    mask = streak.mask[0, 0].numpy().view(np.uint8)
+    left, top, width, height = cv2.boundingRect(mask)
+    window = np.pad(mask[top : top + height, left : left + width], 1)
+    depth = cv2.distanceTransform(window, cv2.DIST_L2, 5)
+    reach = INSIDE * min(float(depth.max()), float(streak.half_width))
+    inside = np.argwhere(depth >= reach)[:, ::-1] + (left - 1, top - 1)
+    points = torch.from_numpy(inside.astype(np.float64))
+    hull = torch.from_numpy(cv2.convexHull(inside.astype(np.int32)).reshape(-1, 2)).double()
+    farthest = int(torch.cdist(hull, hull).argmax())
+    first, last = hull[farthest // len(hull)], hull[farthest % len(hull)]
+    x, y = (last - first).tolist()
+    aside = ((points - first) @ torch.tensor([-y, x], dtype=torch.float64)).abs()
+    return distance * camera.unproject(torch.stack([first, points[int(aside.argmax())], last]))
 
 
 def _through(first: Tensor, corner: Tensor, last: Tensor) -> RoughPath:
     """Give the path from place to place [3] at one speed."""
     before, after = corner - first, last - corner
     lengths = torch.linalg.vector_norm(torch.stack([before, after]), dim=-1)
-    share = (lengths / lengths.sum()).clamp(0.1, 0.9)
-    velocities = torch.stack([before, after]) / share[:, None]
+    share = (lengths / lengths.sum().clamp_min(1e-9)).clamp(0.1, 0.9)
+    velocities = torch.stack([before / share[0], after / (1 - share[0])])
     return RoughPath(
         coefficients=torch.cat([corner[None], velocities]), corner=float(share[0]) - 0.5
     )
-
-
-def _along_axis(path: RoughPath, streak: Streak, camera: Camera) -> tuple[Tensor, Tensor]:
-    """Give times and places of a ball that follows the streak's axis, as far away as a path."""
-    axis, half_width = streak.axis[0], float(streak.half_width)
-    length = torch.linalg.vector_norm(axis.diff(dim=0), dim=-1).cumsum(0)
-    length = torch.cat([length.new_zeros(1), length])
-    # the ball's centre stays a half width from the tips
-    edge = min(half_width, 0.45 * float(length[-1]))
-    is_inner = (length >= edge) & (length <= length[-1] - edge)
-    inner, place = axis[is_inner], length[is_inner]
-    time = (place - place[0]) / (place[-1] - place[0]) - 0.5
-    distance = torch.linalg.vector_norm(path.at(torch.zeros_like(time[:1])))
-    return time, distance * camera.unproject(inner)
 
 
 def _nearest(time: Tensor, points: Tensor, kind: RoughPath) -> RoughPath:
