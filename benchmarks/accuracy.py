@@ -5,7 +5,7 @@ each channel of the shot and of each background picture, lens point spread 0.7 p
 Straight streaks are 40 to 110 px wide and 3 to 7 widths long, curved ones 60 to 110 px wide, 4 to 7
 widths long and bent by 0.4 to 1.1 widths; both tilted up to 30 degrees out of the image plane.
 
-    python benchmarks/accuracy.py [--shots N] [--kind straight curved] [--backgrounds 1 8]
+    python benchmarks/accuracy.py [--shots N] [--kind straight curved] [--backgrounds 1 8] [--stage contours]
 
 Columns: median over the shots of the median and of the rms distance of the path found from the true
 one, of the rms error of the speed along it, of the angle between the directions at mid-exposure, of
@@ -49,7 +49,7 @@ def mean_background(shot: RenderedShot, count: int, seed: int) -> LinearImage:
     return replace(shot.background, rgb=torch.stack(pictures).mean(0), frames=count)
 
 
-def run(shot: RenderedShot, background: LinearImage) -> Measurement:
+def run(shot: RenderedShot, background: LinearImage, stage: str) -> Measurement:
     """Measure a rendered shot as a user would, the ball's colour given."""
     scene = shot.scene
     return measure(
@@ -59,6 +59,7 @@ def run(shot: RenderedShot, background: LinearImage) -> Measurement:
         ball_radius=scene.ball_radius,
         exposure=scene.exposure,
         estimator=Uniform(colour=scene.appearance.colour),
+        stage=stage,
     )
 
 
@@ -104,13 +105,15 @@ def draw_shot(kind: str, distance: float, seed: int) -> RenderedShot:
     return render_shot(scene, seed=seed)
 
 
-def print_row(kind: str, distance: float, backgrounds: int, shots: int, seed: int) -> None:
+def print_row(
+    kind: str, distance: float, backgrounds: int, shots: int, seed: int, stage: str
+) -> None:
     """Measure all shots of a row and print their medians."""
     errors = []
     for index in range(shots):
         shot = draw_shot(kind, distance, seed * 1000 + index)
         try:
-            result = run(shot, mean_background(shot, backgrounds, seed * 1000 + index))
+            result = run(shot, mean_background(shot, backgrounds, seed * 1000 + index), stage)
         except StreakError as refusal:
             print("refused:", refusal)
             continue
@@ -134,6 +137,7 @@ def main() -> None:
     )
     parser.add_argument("--shots", type=int, default=60)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--stage", default="sweep", choices=["contours", "sweep"])
     parser.add_argument("--kind", nargs="+", default=["straight", "curved"])
     parser.add_argument("--distance", type=float, nargs="+", default=[50.0, 15.0])
     parser.add_argument("--backgrounds", type=int, nargs="+", default=[1, 8])
@@ -142,7 +146,9 @@ def main() -> None:
     for kind in arguments.kind:
         for distance in arguments.distance:
             for backgrounds in arguments.backgrounds:
-                print_row(kind, distance, backgrounds, arguments.shots, arguments.seed)
+                print_row(
+                    kind, distance, backgrounds, arguments.shots, arguments.seed, arguments.stage
+                )
 
 
 if __name__ == "__main__":

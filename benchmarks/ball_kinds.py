@@ -225,6 +225,7 @@ def run(shot: RenderedShot, estimator: AlphaEstimator) -> Measurement:
         ball_radius=scene.ball_radius,
         exposure=scene.exposure,
         estimator=estimator,
+        stage="contours",
     )
 
 

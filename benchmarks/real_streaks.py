@@ -1,6 +1,6 @@
 """Contours of real streaks against what the eye sees: a swung floorball and a thrown one.
 
-    python benchmarks/real_streaks.py --data FOLDER [--overlays FOLDER]
+    python benchmarks/real_streaks.py --data FOLDER [--overlays FOLDER] [--stage sweep]
 
 FOLDER holds circle.avi, floorball1.png and floorball_bgr.png. The 30 frames of circle.avi, the
 places of their contours and the ball's colour in each part of the picture were listed by eye before
@@ -54,7 +54,13 @@ def outward_distances(points: Points, result: Measurement) -> list[float]:
 
 
 def report(
-    name: str, entry: dict, image: LinearImage, background: LinearImage, camera: Camera, colour
+    name: str,
+    entry: dict,
+    image: LinearImage,
+    background: LinearImage,
+    camera: Camera,
+    colour,
+    stage: str,
 ) -> tuple[Measurement | None, list[float]]:
     """Measure one listed streak, print its row, give all distances from the eye's points."""
     try:
@@ -65,6 +71,7 @@ def report(
             ball_radius=BALL_RADIUS,
             exposure=EXPOSURE,
             estimator=Uniform(colour=tuple(colour)),
+            stage=stage,
         )
     except StreakError as refusal:
         print(f"{name:>10}  refused: {refusal}")
@@ -87,6 +94,7 @@ def main() -> None:
     )
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--overlays", type=Path)
+    parser.add_argument("--stage", default="contours", choices=["contours", "sweep"])
     arguments = parser.parse_args()
     listed = tomllib.loads(LIST.read_text())
     clip = arguments.data / "circle.avi"
@@ -119,7 +127,7 @@ def main() -> None:
     )
     for name, entry, path, frame, ground, lens, colour in jobs:
         image = read_image(path, response="srgb", frame=frame)
-        result, distances = report(name, entry, image, ground, lens, colour)
+        result, distances = report(name, entry, image, ground, lens, colour, arguments.stage)
         rows.append(distances)
         if result is not None and arguments.overlays is not None:
             arguments.overlays.mkdir(parents=True, exist_ok=True)
