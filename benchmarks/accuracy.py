@@ -5,7 +5,7 @@ each channel of the shot and of each background picture, lens point spread 0.7 p
 Straight streaks are 40 to 110 px wide and 3 to 7 widths long, curved ones 60 to 110 px wide, 4 to 7
 widths long and bent by 0.4 to 1.1 widths; both tilted up to 30 degrees out of the image plane.
 
-    python benchmarks/accuracy.py [--shots N] [--kind straight curved] [--backgrounds 1 8] [--stage contours]
+    python benchmarks/accuracy.py [--shots N] [--kind straight curved] [--stage contours]
 
 Columns: median over the shots of the median and of the rms distance of the path found from the true
 one, of the rms error of the speed along it, of the angle between the directions at mid-exposure, of
