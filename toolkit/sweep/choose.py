@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator
+from toolkit.errors import StreakError
 from toolkit.sweep.fit import SweepFit, fit_sweep, outline
 from toolkit.sweep.misfit import bulk_excess, look_for_misfit
 from toolkit.sweep.model import SweepModel, compare
@@ -70,6 +71,11 @@ def most_likely_motion(frame: Frame, model: SweepModel, start: Start) -> SweepFi
     model = replace(model, path=path)
     x = _first_parameters(model, start)
     _, half_width = outline(model, x)
+    if not half_width < max(frame.usable.shape):
+        raise StreakError(
+            "the rough motion leads out of the picture's window, so that the exact streak cannot "
+            "start from it; name a region that holds the whole streak and little else"
+        )
     fine = max(1, min(LARGEST_SQUARE, int(half_width / FINE)))
     sides = [fine] if start.is_close else _descending(int(half_width / COARSE), fine)
     for side in sides:

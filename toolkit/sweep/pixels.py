@@ -16,8 +16,8 @@ from toolkit.view import StreakView
 
 ROOM = 3.0
 """px beyond the ball's image within which pixels may see it, and what the path is uncertain by."""
-BESIDE = 0.4
-"""Half widths beyond these within which pixels tell of the background's light, and 6 px more."""
+BESIDE = 1.3
+"""Half widths beyond these within which pixels tell of the background's light, and 8 px more."""
 OUTLIER = 3.5
 """Standard deviations beyond which such a pixel's difference counts linearly."""
 COARSE = 16
@@ -158,7 +158,7 @@ class Frame:
         middle = (path_px.numpy() - corner + 0.5) / side - 0.5
         reach = (half_width + ROOM + doubt) / side + 1
         near = _band(middle, reach, rows, columns)
-        ring = _band(middle, reach + (BESIDE * half_width + 6) / side, rows, columns) - near
+        ring = _band(middle, reach + (BESIDE * half_width + 8) / side, rows, columns) - near
         usable = self.usable[None]
         maps: tuple[Tensor, ...]
         maps = (self.signal, self.ground, self.shot_variance, self.ground_variance)
