@@ -76,9 +76,11 @@ def follow_motion(
 ) -> Reconstruction:
     """Find how fast the ball went along its path, and where the exposure began and ended."""
     opacity = opacity_data(fit, along_axis(fit, camera), camera)
-    pace = fit_pace(axis.curve, opacity, ball_radius, _pace_sizes(fit))
+    pace_sizes = up_to(1 + length_in_widths(fit) / 1.5, RATE_SIZES)
+    pace = fit_pace(axis.curve, opacity, ball_radius, pace_sizes)
     half_width = float(fit.half_width[fit.good].median())
-    first, last = _rough_ends(fit, opacity.s)
+    s, position = opacity.s.numpy(), fit.position[0].numpy()
+    first, last = (float(np.interp(end, position, s)) for end in rough_ends(fit))
     reach = CLOCK_MARGIN * half_width
     clock, rate = make_clock(axis.curve, pace, first - reach, last + reach)
     pixels = surroundings(view, estimator)
@@ -94,24 +96,6 @@ def follow_motion(
     )
     found = follow_flight(found, pixels, camera, ball_radius)
     return found if found.flight or fit.appearance is None else scale_opacity(found, ball_radius)
-
-
-def follow_roughly(fit: ProfileFit, axis: AxisFit, camera: Camera, ball_radius: float) -> Motion:
-    """Find the motion from profiles alone: its ends, where the opacity rises, are a few px off."""
-    opacity = opacity_data(fit, along_axis(fit, camera), camera)
-    pace = fit_pace(axis.curve, opacity, ball_radius, _pace_sizes(fit))
-    return describe_motion(axis.curve, pace, torch.tensor(_rough_ends(fit, opacity.s)).double())
-
-
-def _pace_sizes(fit: ProfileFit) -> tuple[int, ...]:
-    return up_to(1 + length_in_widths(fit) / 1.5, RATE_SIZES)
-
-
-def _rough_ends(fit: ProfileFit, s: Tensor) -> tuple[float, float]:
-    """Give the parameters of the ball's first and last place, to a few px; s is the profiles'."""
-    at, position = s.numpy(), fit.position[0].numpy()
-    first, last = (float(np.interp(end, position, at)) for end in rough_ends(fit))
-    return first, last
 
 
 def scale_opacity(found: Reconstruction, ball_radius: float) -> Reconstruction:

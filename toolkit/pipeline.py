@@ -5,6 +5,7 @@ import time
 from dataclasses import dataclass, replace
 
 import torch
+from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator
 from toolkit.background import check_pair
@@ -12,23 +13,24 @@ from toolkit.camera import Camera
 from toolkit.camera_file import fit_camera
 from toolkit.contours import smooth_contours
 from toolkit.errors import ConfigError, StreakError
-from toolkit.following import Reconstruction, follow_motion, follow_roughly
+from toolkit.following import Reconstruction, follow_motion
 from toolkit.guarded import guarded
 from toolkit.light_change import light_caution
 from toolkit.measurement import Caution, Measurement
 from toolkit.motion import DEPTH, Motion
-from toolkit.reconstruction import check_rays, reconstruct_axis, sketch_axis
+from toolkit.reconstruction import check_rays, reconstruct_axis
 from toolkit.registry import name_of
 from toolkit.result import describe, describe_profiles, profile_table
 from toolkit.rough_motion import rough_motion
 from toolkit.shot_checks import check_readout
+from toolkit.sketch import sketch_motion, smooth_edges
 from toolkit.streak import ROI
 from toolkit.streak_fit import ManyColours, fit_roughly, fit_streak, settled
 from toolkit.sweep.choose import Start
 from toolkit.sweep.describe import describe_sweep
 from toolkit.sweep.doubt import motion_of
 from toolkit.sweep.refine import Shutter, refine
-from toolkit.types import Contours, LinearImage, ProfileFit
+from toolkit.types import LinearImage, ProfileFit
 from toolkit.uncertainty import Uncertainty, covariances
 from toolkit.view import StreakView, observe_streak
 
@@ -143,10 +145,10 @@ def by_sweep(task: Task) -> Measurement:
     Where no motion's image explains the streak, what its contours say is reported instead.
     """
     check_rays(task.camera, task.view.streak.axis)
-    sketch, refusal = None, None
+    rough, refusal = None, None
     if _length_in_widths(task.view) >= TRACEABLE:
         try:
-            sketch = sketch_motion(task)
+            rough = sketch(task)
         except StreakError as error:  # too few profiles, or a corner: both can be done without
             refusal = error
     try:
@@ -155,7 +157,7 @@ def by_sweep(task: Task) -> Measurement:
             task.estimator,
             task.camera,
             task.ball_radius,
-            rough_start(task) if sketch is None else close_start(*sketch),
+            rough_start(task) if rough is None else close_start(*rough),
             task.shutter,
             ball_radius_std=task.ball_radius_std,
             exposure_std_share=task.exposure_std_share,
@@ -168,19 +170,16 @@ def by_sweep(task: Task) -> Measurement:
         likeliest,
         exposure=task.exposure,
         drift=task.view.drift,
-        profiles=None if sketch is None else profile_table(sketch[0]),
+        profiles=None if rough is None else profile_table(rough[0]),
     )
 
 
-def sketch_motion(task: Task) -> tuple[ProfileFit, Motion]:
+def sketch(task: Task) -> tuple[ProfileFit, Motion]:
     """Find some profiles, and roughly the motion they tell: the exact streak needs no better."""
     fit = fit_roughly(task.view, task.estimator)
-    contours, fit = smooth_contours(fit)
-    _check_contours_inside(contours, task.size)
+    _check_inside(smooth_edges(fit), task.size)
     task.watch.lap("profiles")
-    axis = sketch_axis(fit, contours, task.camera, task.ball_radius)
-    task.watch.lap("axis")
-    motion = follow_roughly(fit, axis, task.camera, task.ball_radius)
+    motion = sketch_motion(fit, task.camera, task.ball_radius)
     task.watch.lap("motion")
     return fit, motion
 
@@ -203,7 +202,7 @@ def follow_contours(task: Task) -> tuple[Reconstruction, tuple[Caution, ...]]:
     """Find the motion from the streak's contours, its opacity and its ends."""
     fit, profiles = fit_streak(task.view, task.estimator)
     contours, fit = smooth_contours(fit)
-    _check_contours_inside(contours, task.size)
+    _check_inside(contours.points, task.size)
     task.watch.lap("profiles")
     axis = reconstruct_axis(fit, contours, task.camera, task.ball_radius)
     task.watch.lap("axis")
@@ -254,12 +253,12 @@ def rough_start(task: Task) -> Start:
     return Start(path=rough.path, appearance=rough.colour, corner=rough.corner)
 
 
-def _check_contours_inside(contours: Contours, size: tuple[int, int]) -> None:
+def _check_inside(points: Tensor, size: tuple[int, int]) -> None:
     """Raise `StreakError` where a contour runs along or over the picture's border."""
-    border = torch.tensor(size, dtype=contours.points.dtype) - 1
-    is_inside = ((contours.points > 0) & (contours.points < border)).all(-1)
+    border = torch.tensor(size, dtype=points.dtype) - 1
+    is_inside = ((points > 0) & (points < border)).all(-1)
     if not bool(is_inside.all()):
-        x, y = contours.points[~is_inside][0].tolist()
+        x, y = points[~is_inside][0].tolist()
         raise StreakError(
             f"the streak leaves the picture along its side near ({x:.0f}, {y:.0f}) px, so that its "
             "width is not seen; aim so that the whole streak is inside"

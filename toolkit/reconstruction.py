@@ -51,7 +51,6 @@ def reconstruct_axis(
     contours: Contours,
     camera: Camera,
     ball_radius: float,
-    depth_sizes: tuple[int, ...] = DEPTH_SIZES,
 ) -> AxisFit:
     """Find the path of the ball's centre from the contours of the whole streak.
 
@@ -63,7 +62,6 @@ def reconstruct_axis(
         contours: smoothed from them.
         camera: with distortion.
         ball_radius: m.
-        depth_sizes: numbers of coefficients of the inverse depth to choose from.
 
     Raises:
         StreakError: when the contours belong to no ball in front of the camera.
@@ -79,15 +77,10 @@ def reconstruct_axis(
     start = start_curve(
         centres, s, centre_weight, depth.expand_as(s), good, up_to(3 + widths, SIZES)
     )
-    depth_sizes = up_to(2 + widths / 1.5, depth_sizes)
+    depth_sizes = up_to(2 + widths / 1.5, DEPTH_SIZES)
     axis = fit_axis(start, edges_of(fit, s), camera, ball_radius, depth_sizes)
     _check_axis(axis, s[fit.good[0]], ball_radius)
     return axis
-
-
-def sketch_axis(fit: ProfileFit, contours: Contours, camera: Camera, ball_radius: float) -> AxisFit:
-    """Do the same with an inverse depth that changes evenly: all that a first path needs."""
-    return reconstruct_axis(fit, contours, camera, ball_radius, depth_sizes=DEPTH_SIZES[:1])
 
 
 def refit_axis(
