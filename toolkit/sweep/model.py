@@ -147,7 +147,7 @@ class SweepModel:
         c0, c1, c2 = arcs.coefficients[piece].permute(1, 2, 0)
         centre = c0 + t * (c1 + t * c2)
         away = centre - (centre * u).sum(0) * u
-        distance = torch.linalg.vector_norm(away, dim=0).clamp_min(NARROW * self.ball_radius)
+        distance = (away * away).sum(0).sqrt().clamp_min(NARROW * self.ball_radius)
         pull = away * (passage.side / (distance * self.ball_radius))
         J_arc = torch.cat([pull, t * pull, t * t * pull])
         if len(arcs.J) == 1:

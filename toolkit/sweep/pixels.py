@@ -254,7 +254,8 @@ def find_rays(camera: Camera, place: Tensor) -> Rays:
     unit, right, down = fine.reshape(3, 3, -1)
     for _ in range(MOST_STEPS):
         missing = (place - camera.project(unit.mT)).mT
-        unit = torch.nn.functional.normalize(unit + missing[0] * right + missing[1] * down, dim=0)
+        unit = unit + missing[0] * right + missing[1] * down
+        unit = unit * (unit * unit).sum(0).rsqrt()
         if not float(missing.abs().max()) > LITTLE:
             break
     return Rays(unit=unit, right=right, down=down)

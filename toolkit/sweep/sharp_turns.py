@@ -74,7 +74,7 @@ def _about(
     middle = arc[0] + (early + late) / 2 * arc[1]
     distance2 = middle @ middle
     reach = float(torch.linalg.vector_norm(arc[1])) * (late - early) / 2 + ball_radius
-    px = float(distance2.sqrt() * torch.linalg.vector_norm(rays.right, dim=0).max())
+    px = float((distance2 * (rays.right * rays.right).sum(0).max()).sqrt())
     reach += (REACH * spread**0.5 + 1) * px
     is_near: Tensor = distance2 - (middle @ rays.unit) ** 2 < reach**2
     return is_near.nonzero()[:, 0]

@@ -86,7 +86,8 @@ def slow_opacity(
         s, r, d = ((products * powers).sum(0) for products in (along, sideways, downwards))
         centre = arc.mT @ powers
         away = centre - s * u
-        gap = torch.linalg.vector_norm(away, dim=0).clamp_min(1e-3 * ball_radius)
+        # many times faster than torch's norm along a first dimension
+        gap = (away * away).sum(0).sqrt().clamp_min(1e-3 * ball_radius)
         width = (s / gap).abs() * (spread * (r * r + d * d)).sqrt()
         # how the rim bends counts near the rim alone; in the middle of the disc it has no meaning
         bend = width / (2 * gap.clamp_min(ball_radius / 2))
