@@ -12,7 +12,7 @@ from toolkit.background import check_pair
 from toolkit.camera import Camera
 from toolkit.camera_file import fit_camera
 from toolkit.contours import smooth_contours
-from toolkit.errors import ConfigError, StreakError
+from toolkit.errors import BadOutputError, ConfigError, StreakError
 from toolkit.following import Reconstruction, follow_motion
 from toolkit.guarded import guarded
 from toolkit.light_change import light_caution
@@ -190,7 +190,7 @@ def contours_instead(task: Task, reason: StreakError) -> Measurement:
         found, cautions = follow_contours(task)
     except ManyColours:
         raise
-    except StreakError:
+    except (StreakError, BadOutputError):  # looks that were found wrongly are no fault of theirs
         raise reason from None
     lost = Caution(
         code="sweep-failed", message=f"{reason}; what the contours say is reported instead"
