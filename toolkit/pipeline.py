@@ -38,6 +38,8 @@ STAGES = ("profiles", "contours", "sweep")
 """Of a measurement, each starting from the one before."""
 TRACEABLE = 2.8
 """Length over width from which profiles between the ball's first and last image are looked for."""
+CORNER = math.radians(25)
+"""Turn of the rough axis over two half widths from which the path may have a corner."""
 LOST_DEPTH = 1.0
 """Relative standard deviation of the depth from which nothing is known of it."""
 
@@ -146,7 +148,7 @@ def by_sweep(task: Task) -> Measurement:
     """
     check_rays(task.camera, task.view.streak.axis)
     rough, refusal = None, None
-    if _length_in_widths(task.view) >= TRACEABLE:
+    if _length_in_widths(task.view) >= TRACEABLE and not _turns_corner(task.view):
         try:
             rough = sketch(task)
         except StreakError as error:  # too few profiles, or a corner: both can be done without
@@ -321,3 +323,13 @@ def _length_in_widths(view: StreakView) -> float:
     axis = view.streak.axis[0]
     length = float(torch.linalg.vector_norm(axis.diff(dim=0), dim=-1).sum())
     return length / (2 * float(view.streak.half_width))
+
+
+def _turns_corner(view: StreakView) -> bool:
+    """Say whether the rough axis, which smooths any corner, turns as if at a bounce."""
+    axis = view.streak.axis[0]
+    spacing = float(torch.linalg.vector_norm(axis.diff(dim=0), dim=-1).mean())
+    step = max(1, round(2 * float(view.streak.half_width) / max(spacing, 1e-6)))
+    ahead = torch.nn.functional.normalize(axis[step:] - axis[:-step], dim=-1)
+    cosine = (ahead[:-step] * ahead[step:]).sum(-1)
+    return len(cosine) > 0 and float(cosine.min()) < math.cos(CORNER)
