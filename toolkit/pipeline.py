@@ -43,6 +43,12 @@ CORNER = math.radians(25)
 LOST_DEPTH = 1.0
 """Relative standard deviation of the depth from which nothing is known of it."""
 
+READOUT_LEFT_OUT = Caution(
+    code="readout-left-out",
+    message="the contours know nothing of the readout: direction and speed are those of a picture "
+    "whose rows were all exposed at once; take --stage sweep",
+)
+
 
 def measure(
     image: LinearImage,
@@ -138,6 +144,8 @@ def by_profiles(task: Task) -> Measurement:
 def by_contours(task: Task) -> Measurement:
     """Follow the paper: profiles, contours, the canal surface, and the motion along its axis."""
     found, cautions = follow_contours(task)
+    if task.shutter.row_delay:
+        cautions = (*cautions, READOUT_LEFT_OUT)
     return report_contours(task, found, cautions)
 
 
@@ -187,7 +195,12 @@ def sketch(task: Task) -> tuple[ProfileFit, Motion]:
 
 
 def contours_instead(task: Task, reason: StreakError) -> Measurement:
-    """Report what the contours say where the exact streak was not found; else raise the reason."""
+    """Report what the contours say where the exact streak was not found; else raise the reason.
+
+    They know of no rolling shutter: where there is one, nothing can stand in for the exact streak.
+    """
+    if task.shutter.row_delay:
+        raise reason
     try:
         found, cautions = follow_contours(task)
     except ManyColours:

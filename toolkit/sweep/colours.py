@@ -86,14 +86,14 @@ def seen_colours(
         ball_radius: m.
     """
     known = appearance if len(appearance) else None
-    t = passage.instant.clamp(*(float(side) for side in (-0.5, 0.5)))
+    t = passage.instant.clamp(-0.5, 0.5)
     half = (passage.room.clamp_min(0) / passage.stiffness).sqrt().clamp_min(1e-9)
     # the leading rim, 1, passes first
     stop = ((passage.instant - exposure[0]) / half).clamp(-1, 1)
     start = ((passage.instant - exposure[1]) / half).clamp(-1, 1)
     gap = _gap(passage, ball_radius)
     is_whole = (start <= -1) & (stop >= 1)
-    stretch, count = _stretches(t, arcs, camera, ball_radius)
+    stretch, count = _stretches(t, arcs, ball_radius)
     rows: list[tuple[Tensor, BallColours]] = []
     for number in range(count):
         is_here = stretch == number
@@ -115,10 +115,11 @@ def seen_colours(
                 rows.append(
                     (at, BallColours(colour=colour.mT.double(), slope=across, design=design))
                 )
-    return _gathered(rows, len(gap))
+    return _gathered(rows)
 
 
-def _gathered(rows: list[tuple[Tensor, BallColours]], count: int) -> BallColours:
+def _gathered(rows: list[tuple[Tensor, BallColours]]) -> BallColours:
+    """Put what was found stretch by stretch back into the pixels' order."""
     order = torch.cat([at for at, _ in rows]).argsort()
     slopes = [part.slope for _, part in rows if part.slope is not None]
     designs = [part.design for _, part in rows if part.design is not None]
@@ -129,7 +130,7 @@ def _gathered(rows: list[tuple[Tensor, BallColours]], count: int) -> BallColours
     )
 
 
-def _stretches(time: Tensor, arcs: Arcs, camera: Camera, ball_radius: float) -> tuple[Tensor, int]:
+def _stretches(time: Tensor, arcs: Arcs, ball_radius: float) -> tuple[Tensor, int]:
     """Number the stretches of the path, each so short that all on it look alike."""
     _, velocity = arcs.at(torch.linspace(-0.5, 0.5, 9, dtype=torch.float64))
     travel = float(torch.linalg.vector_norm(velocity, dim=-1).mean()) / (2 * ball_radius)

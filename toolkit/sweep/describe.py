@@ -39,8 +39,6 @@ from toolkit.uncertainty import Uncertainty
 
 WARNED_MISFIT = 1.5
 """Chi-square per degree of freedom beyond which a warning is due."""
-EDGE_SPREAD = 0.05
-"""px^2 of spread below which lens and pixel together cannot lie."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

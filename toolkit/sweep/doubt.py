@@ -3,14 +3,10 @@
 import torch
 from torch import Tensor
 
-from toolkit.camera import Camera
 from toolkit.motion import PATH_POINTS, SPEED, Motion
 from toolkit.sweep.fit import SweepFit
 from toolkit.sweep.misfit import Misfit
 from toolkit.uncertainty import Uncertainty
-
-CAMERA_STEP = 1e-3
-"""Standard deviations by which camera parameters are moved to see what follows."""
 
 
 def motion_of(fit: SweepFit) -> Motion:
@@ -105,21 +101,8 @@ def _camera_covariance(fit: SweepFit, J: Tensor) -> Tensor | None:
     k = fit.model.path.size
     slope = fit.model.opacity_slope(fit.parameters, fit.pixels, fit.seen.coverage)
     rays = fit.pixels.rays.unit.mT
-    variances, axes = torch.linalg.eigh(camera.covariance)
-    columns = []
-    for variance, axis in zip(variances.clamp_min(0), axes.mT, strict=True):
-        moved = _moved_pixels(camera, rays, axis * variance.sqrt())
-        # what is seen stays where it is while the model moves
-        alpha = (slope * moved.mT).sum(0)
-        columns.append(J @ fit.seen.answer(alpha * fit.seen.contrast)[:k])
-    change = torch.stack(columns, dim=-1)
-    return change @ change.mT
-
-
-def _moved_pixels(camera: Camera, rays: Tensor, shift: Tensor) -> Tensor:
-    """Give by how many px the images of rays move for a shift of the camera's parameters [M, 2]."""
-    ahead, back = (
-        camera.with_parameters(camera.parameters + sign * CAMERA_STEP * shift)
-        for sign in (1.0, -1.0)
-    )
-    return (ahead.project(rays) - back.project(rays)) / (2 * CAMERA_STEP)
+    # what is seen stays where it is while the model moves, by this for each parameter
+    moved = torch.einsum("xn,nxp->pn", slope, camera.J_parameters(rays))
+    answers = [fit.seen.answer(alpha * fit.seen.contrast)[:k] for alpha in moved]
+    change = J @ torch.stack(answers, dim=-1)
+    return change @ camera.covariance @ change.mT

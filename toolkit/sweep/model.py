@@ -25,7 +25,7 @@ from toolkit.sweep.colours import (
     plain_colours,
     seen_colours,
 )
-from toolkit.sweep.opacity import ArcOpacity, Passage
+from toolkit.sweep.opacity import PIXEL_VARIANCE, ArcOpacity, Passage
 from toolkit.sweep.paths import SweepPath
 from toolkit.sweep.pixels import StreakPixels
 from toolkit.sweep.shade import Shaded
@@ -92,7 +92,7 @@ class SweepModel:
         arcs = self.path.arcs(shape)
         start, stop = self.exposure_of(pixels)
         # the spread is that of single pixels; squares of them blur by their own area
-        wide = float(spread) + pixels.area_variance - 1 / 12
+        wide = float(spread) + pixels.area_variance - PIXEL_VARIANCE
         parts: list[tuple[ArcOpacity, Tensor, int]] = []
         for number, (low, high) in enumerate(arcs.limits(start, stop)):
             arc, J_arc = arcs.coefficients[number], arcs.J[number]

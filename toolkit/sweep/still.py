@@ -20,8 +20,8 @@ SHORT = 0.6
 """Ball's widths of travel from which no ball stands still."""
 SLOWEST = 0.02
 """Ball radii of travel that pass for none."""
-TOLD_FROM_REST = 9.0
-"""Chi-square by which a motion must beat rest to be reported as one: three standard deviations."""
+TOLD_FROM_REST = 14.2
+"""Chi-square by which a motion must beat rest: by chance three numbers do once in 370."""
 LIMIT = 2.71
 """Chi-square of the one-sided 95 % limit."""
 HOPELESS = 100.0
