@@ -262,3 +262,27 @@ def test_a_depth_that_is_not_known_is_refused(shot, monkeypatch):
     monkeypatch.setattr(pipeline, "LOST_DEPTH", 1e-4)
     with pytest.raises(StreakError, match="the ball's depth is not determined"):
         run(shot)
+
+
+def lost(*_, **__):
+    raise StreakError("no motion explains it")
+
+
+def test_where_the_exact_streak_fails_the_contours_stand_in(shot, monkeypatch):
+    monkeypatch.setattr(pipeline, "refine", lost)
+    result = run(shot)
+    assert result.stage == "contours"
+    assert "sweep-failed" in codes(result)
+    (caution,) = (caution for caution in result.warnings if caution.code == "sweep-failed")
+    assert "no motion explains it" in caution.message
+
+
+def test_behind_a_rolling_shutter_nothing_stands_in(shot, monkeypatch):
+    monkeypatch.setattr(pipeline, "refine", lost)
+    with pytest.raises(StreakError, match="no motion explains it"):
+        run(shot, readout=0.01)
+
+
+def test_contours_say_that_they_leave_the_readout_out(shot):
+    assert "readout-left-out" in codes(run(shot, stage="contours", readout=0.01))
+    assert "readout-left-out" not in codes(run(shot, stage="contours"))

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, replace
 
+import torch
 from torch import Tensor
 
 from toolkit.measurement import (
@@ -17,7 +18,7 @@ from toolkit.measurement import (
     Sign,
     numbers,
 )
-from toolkit.motion import DEPTH, SPEED
+from toolkit.motion import DEPTH, SPEED, Motion
 from toolkit.outline import outline
 from toolkit.result import (
     Check,
@@ -37,6 +38,8 @@ from toolkit.sweep.shade import Shaded
 from toolkit.sweep.still import SpeedLimit
 from toolkit.uncertainty import Uncertainty
 
+NEARLY_AT_REST = 0.2
+"""Share of its highest speed below which the ball may as well have turned back."""
 WARNED_MISFIT = 1.5
 """Chi-square per degree of freedom beyond which a warning is due."""
 
@@ -89,7 +92,7 @@ def describe_sweep(
         ),
         bound=_bound(found, exposure),
         fit=_summary(found),
-        warnings=_cautions(found, exposure, drift),
+        warnings=_cautions(found, motion, exposure, drift),
     )
     if exposure is None:
         return measurement
@@ -145,7 +148,9 @@ def _summary(found: SweepResult) -> FitSummary:
     )
 
 
-def _cautions(found: SweepResult, exposure: float | None, drift: Tensor) -> tuple[Caution, ...]:
+def _cautions(
+    found: SweepResult, motion: Motion, exposure: float | None, drift: Tensor
+) -> tuple[Caution, ...]:
     fit, misfit = found.fit, found.misfit
     single = misfit.pixels * fit.pixels.excess
     checks: list[Check] = [
@@ -166,6 +171,12 @@ def _cautions(found: SweepResult, exposure: float | None, drift: Tensor) -> tupl
             + _limits(found.still_below, exposure),
         ),
         (
+            _may_turn_back(motion),
+            "may-turn-back",
+            "the ball nearly came to rest on its path; a way passed once, from or to rest, and one "
+            "passed there and back look alike, and where the ball was when differs",
+        ),
+        (
             isinstance(fit.model.estimator, Shaded),
             "shade-fitted",
             "the ball is shaded, which its estimator knows nothing of; a smooth shade was fitted, "
@@ -184,6 +195,12 @@ def _cautions(found: SweepResult, exposure: float | None, drift: Tensor) -> tupl
         light_check(drift),
     ]
     return due(checks)
+
+
+def _may_turn_back(motion: Motion) -> bool:
+    """Whether the ball all but stops somewhere, as at the apex of a throw straight up."""
+    speed = torch.linalg.vector_norm(motion.path_displacement, dim=-1)
+    return float(speed.min()) < NEARLY_AT_REST * float(speed.max())
 
 
 def _limits(limit: SpeedLimit | None, exposure: float | None) -> str:

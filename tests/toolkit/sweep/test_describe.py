@@ -9,6 +9,7 @@ from toolkit.motion import SPEED
 from toolkit.sweep.describe import SweepResult, describe_sweep
 from toolkit.sweep.doubt import J_state, sweep_uncertainty
 from toolkit.sweep.misfit import look_for_misfit
+from toolkit.sweep.paths import PARABOLA
 from toolkit.sweep.still import SpeedLimit
 
 EXPOSURE = 0.02
@@ -144,3 +145,13 @@ def test_a_misfit_is_told_with_its_numbers(found):
 def test_another_light_is_told(found):
     assert "background-brightness" in codes(described(found, drift=0.9 * LIGHT))
     assert "background-brightness" not in codes(described(found))
+
+
+def test_a_ball_that_nearly_stops_on_its_way_may_have_turned_back(found):
+    assert "may-turn-back" not in codes(described(found))
+    first, last = found.fit.parameters[:6].reshape(2, 3)
+    way = last - first
+    # control points of C(t) = first + way (t + 1/2)^2: it begins at rest
+    falling = torch.cat([first, first, first + 2 * way, found.fit.parameters[6:]])
+    fit = replace(found.fit, model=replace(found.fit.model, path=PARABOLA), parameters=falling)
+    assert "may-turn-back" in codes(described(replace(found, fit=fit)))
