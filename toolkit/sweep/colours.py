@@ -8,7 +8,7 @@ from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator, Chord
 from toolkit.camera import Camera
-from toolkit.sweep.opacity import Passage
+from toolkit.sweep.passage import Passage
 from toolkit.sweep.paths import Arcs
 
 STRETCH = 0.25

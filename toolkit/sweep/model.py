@@ -25,9 +25,10 @@ from toolkit.sweep.colours import (
     plain_colours,
     seen_colours,
 )
-from toolkit.sweep.opacity import PIXEL_VARIANCE, ArcOpacity, Passage
+from toolkit.sweep.opacity import PIXEL_VARIANCE, ArcOpacity
+from toolkit.sweep.passage import Passage
 from toolkit.sweep.paths import SweepPath
-from toolkit.sweep.pixels import StreakPixels
+from toolkit.sweep.pixels import Beside, StreakPixels
 from toolkit.sweep.shade import Shaded
 from toolkit.sweep.sharp_turns import opacity_parts
 
@@ -273,35 +274,22 @@ def compare(
     likeliest = pixels.ground + empty * rest * residual * precision
     contrast = ball.colour - likeliest * gain - offset
     J_offset = None if ball.slope is None else model.J_offset(x, pixels, covered)
-    k, channels = model.path.size, len(pixels.signal)
-    shared = k + 1 + model.unknowns
+    channels, shared = len(pixels.signal), model.path.size + 1 + model.unknowns
     gradient = torch.zeros(len(x), dtype=torch.float64)
     information = torch.zeros(len(x), len(x), dtype=torch.float64)
-    whitened, columns_of = [], []
+    whitened, columns = [], []
     for q in range(channels):
         at = torch.tensor([*range(shared), shared + q, shared + channels + q])
-        J = torch.empty(len(at), len(pixels), dtype=torch.float64)
-        torch.mul(covered.J, contrast[q] * root[q], out=J[: k + 1])
-        if J_offset is not None and ball.slope is not None:
-            J[:k] += (alpha * ball.slope[q] * root[q]) * J_offset
-        if ball.design is not None:
-            torch.mul(ball.design[q], alpha * root[q], out=J[k + 1 : shared])
-        torch.mul(rest, root[q], out=J[-1])
-        torch.mul(J[-1], likeliest[q], out=J[-2])
+        J = _channel_J(covered, ball, J_offset, contrast[q], likeliest[q], root[q], q)
         information[at[:, None], at] += J @ J.mT
         gradient[at] -= J @ (residual[q] * root[q])
         whitened.append(J)
-        columns_of.append(at)
-    beside = pixels.beside
-    gradient[shared:] += beside.gradient + beside.information @ gains
-    information[shared:, shared:] += beside.information
-    cost += beside.cost + float(gains @ (2 * beside.gradient + beside.information @ gains))
-    cost += _add_priors(gradient, information, gains, shared)
+        columns.append(at)
+    cost += _add_beside(gradient, information, pixels.beside, gains)
+    cost += _add_priors(gradient, information, gains)
     if isinstance(model.estimator, Shaded):
         last = slice(shared - model.estimator.shades, shared)
-        gradient[last] += x[last] / model.shade_std**2
-        information.diagonal()[last] += model.shade_std**-2
-        cost += float((x[last] ** 2).sum()) / model.shade_std**2
+        cost += _add_shade_prior(gradient, information, x[last], last, model.shade_std)
     return Comparison(
         cost=cost,
         gradient=gradient,
@@ -310,14 +298,57 @@ def compare(
         coverage=covered,
         contrast=contrast * precision.sqrt(),
         J=tuple(whitened),
-        columns=tuple(columns_of),
+        columns=tuple(columns),
     )
 
 
-def _add_priors(gradient: Tensor, information: Tensor, gains: Tensor, first: int) -> float:
+def _channel_J(
+    covered: Coverage,
+    ball: BallColours,
+    J_offset: Tensor | None,
+    contrast: Tensor,
+    ground: Tensor,
+    root: Tensor,
+    q: int,
+) -> Tensor:
+    """Give the whitened derivatives of one channel [K + 1 + A + 2, N].
+
+    They are those in path and spread, in the appearance, in gain and in offset; `root` whitens.
+    """
+    alpha, size = covered.alpha, len(covered.J)
+    unknowns = 0 if ball.design is None else ball.design.shape[1]
+    J = torch.empty(size + unknowns + 2, len(alpha), dtype=torch.float64)
+    torch.mul(covered.J, contrast * root, out=J[:size])
+    if J_offset is not None and ball.slope is not None:
+        J[: size - 1] += (alpha * ball.slope[q] * root) * J_offset
+    if ball.design is not None:
+        torch.mul(ball.design[q], alpha * root, out=J[size:-2])
+    torch.mul(1 - alpha, root, out=J[-1])
+    torch.mul(J[-1], ground, out=J[-2])
+    return J
+
+
+def _add_beside(gradient: Tensor, information: Tensor, beside: Beside, gains: Tensor) -> float:
+    """Add what the pixels beside the streak say of gain and offset; return what they cost."""
+    last = len(gains)
+    gradient[-last:] += beside.gradient + beside.information @ gains
+    information[-last:, -last:] += beside.information
+    return beside.cost + float(gains @ (2 * beside.gradient + beside.information @ gains))
+
+
+def _add_priors(gradient: Tensor, information: Tensor, gains: Tensor) -> float:
     """Hold gains about 1 and offsets about 0, weakly; return what this costs."""
     half = len(gains) // 2
     precision = torch.tensor([GAIN_STD**-2] * half + [OFFSET_STD**-2] * half, dtype=torch.float64)
-    gradient[first:] += gains * precision
-    information.diagonal()[first:] += precision
+    gradient[-2 * half :] += gains * precision
+    information.diagonal()[-2 * half :] += precision
     return float(gains @ (gains * precision))
+
+
+def _add_shade_prior(
+    gradient: Tensor, information: Tensor, shade: Tensor, place: slice, std: float
+) -> float:
+    """Hold a shade about none; return what this costs."""
+    gradient[place] += shade / std**2
+    information.diagonal()[place] += std**-2
+    return float(shade @ shade) / std**2

@@ -11,7 +11,8 @@ from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator
 from toolkit.camera import Camera
-from toolkit.sweep.opacity import PIXEL_VARIANCE, Rays
+from toolkit.sweep.opacity import PIXEL_VARIANCE
+from toolkit.sweep.passage import Rays
 from toolkit.view import StreakView
 
 ROOM = 3.0

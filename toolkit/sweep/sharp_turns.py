@@ -11,7 +11,8 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from toolkit.sweep.opacity import REACH, ArcOpacity, Rays, arc_opacity
+from toolkit.sweep.opacity import ArcOpacity, arc_opacity
+from toolkit.sweep.passage import REACH, Rays
 
 SHARP = 0.7
 """Share of its velocity that a ball may gain while it moves by its width."""

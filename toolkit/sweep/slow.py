@@ -7,12 +7,11 @@ velocity, as it must be. [derived]
 """
 
 import math
-from functools import cache
 
-import numpy as np
 import torch
 from torch import Tensor
 
+from toolkit.sweep.quadrature import gauss_legendre
 from toolkit.sweep.soft import density
 
 SLOW = 5.0
@@ -76,7 +75,7 @@ def slow_opacity(
     """
     u, right, down = rays
     along, sideways, downwards = arc @ u, arc @ right, arc @ down
-    nodes, weights = _gauss_legendre(instants)
+    nodes, weights = gauss_legendre(instants)
     alpha, J_spread = torch.zeros_like(start), torch.zeros_like(start)
     J = torch.zeros(3, 3, len(start), dtype=start.dtype)
     for node, weight in zip(nodes.tolist(), weights.tolist(), strict=True):
@@ -97,10 +96,3 @@ def slow_opacity(
         J -= powers[:, None] * (steep / (width * gap) * away)
         J_spread -= steep * ((ball_radius - gap) / width + bend) / (2 * spread)
     return alpha, J.flatten(0, 1), J_spread
-
-
-@cache
-def _gauss_legendre(count: int) -> tuple[Tensor, Tensor]:
-    """Nodes and weights on 0 to 1."""
-    nodes, weights = np.polynomial.legendre.leggauss(count)
-    return torch.from_numpy((nodes + 1) / 2), torch.from_numpy(weights / 2)
