@@ -60,7 +60,7 @@ def run_shot(
 
 def check_bound(seed: int, *, is_colour_known: bool, row_delay: float, **options: Any) -> Row:
     """Add the bound from renderings alone."""
-    from toolkit.sweep.model import GAIN_STD, OFFSET_STD
+    from toolkit.sweep.likelihood import GAIN_STD, OFFSET_STD
 
     row = run_shot(seed, is_colour_known=is_colour_known, row_delay=row_delay, **options)
     slopes = slopes_by_rendering(

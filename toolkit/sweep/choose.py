@@ -8,8 +8,9 @@ from torch import Tensor
 from toolkit.alpha import AlphaEstimator
 from toolkit.errors import StreakError
 from toolkit.sweep.fit import SweepFit, fit_sweep, outline
+from toolkit.sweep.likelihood import compare
 from toolkit.sweep.misfit import bulk_excess, look_for_misfit
-from toolkit.sweep.model import SweepModel, compare
+from toolkit.sweep.model import SweepModel
 from toolkit.sweep.paths import PARABOLA, STRAIGHT, BouncePath, SplinePath, SweepPath
 from toolkit.sweep.pixels import Frame
 from toolkit.sweep.shade import Shaded

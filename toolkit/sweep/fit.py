@@ -7,7 +7,8 @@ import torch
 from torch import Tensor
 
 from toolkit.least_squares import invert_information
-from toolkit.sweep.model import Comparison, SweepModel, compare
+from toolkit.sweep.likelihood import Comparison, compare
+from toolkit.sweep.model import SweepModel
 from toolkit.sweep.pixels import Frame, StreakPixels
 
 MAX_STEPS = 40

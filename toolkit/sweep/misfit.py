@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from toolkit.sweep.fit import SweepFit
-from toolkit.sweep.model import Comparison
+from toolkit.sweep.likelihood import Comparison
 
 PATCH = 8
 """px along the side of a patch: that of a block of JPEG."""

@@ -14,8 +14,9 @@ from toolkit.sweep.choose import Start, finer_shade, most_likely_motion, strays
 from toolkit.sweep.describe import SweepResult
 from toolkit.sweep.doubt import motion_of, sweep_uncertainty
 from toolkit.sweep.fit import SweepFit, outline
+from toolkit.sweep.likelihood import compare
 from toolkit.sweep.misfit import Misfit, look_for_misfit
-from toolkit.sweep.model import SweepModel, compare
+from toolkit.sweep.model import SweepModel
 from toolkit.sweep.paths import STRAIGHT
 from toolkit.sweep.pixels import Frame
 from toolkit.sweep.still import looks_still, speed_limit

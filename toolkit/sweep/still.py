@@ -12,8 +12,8 @@ from torch import Tensor
 
 from toolkit.least_squares import minimise_equations
 from toolkit.sweep.fit import SweepFit
+from toolkit.sweep.likelihood import compare
 from toolkit.sweep.misfit import Misfit
-from toolkit.sweep.model import compare
 from toolkit.sweep.paths import STRAIGHT
 
 SHORT = 0.6

@@ -7,7 +7,7 @@ from plugins.two_colour import TwoColour
 from plugins.uniform import Uniform
 from toolkit import AlphaEstimator, Chord, Observation
 from toolkit.sweep.colours import count_channels, is_plain, plain_colours
-from toolkit.sweep.model import compare
+from toolkit.sweep.likelihood import compare
 from toolkit.sweep.paths import STRAIGHT
 from toolkit.synthetic import LambertBall
 

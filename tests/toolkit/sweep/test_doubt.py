@@ -7,7 +7,7 @@ import torch
 from toolkit.motion import DEPTH, DURATION, SPEED
 from toolkit.sweep.doubt import J_state, motion_of, sweep_uncertainty
 from toolkit.sweep.fit import fit_sweep
-from toolkit.sweep.model import compare
+from toolkit.sweep.likelihood import compare
 from toolkit.sweep.paths import PARABOLA, STRAIGHT
 
 QUIET = SimpleNamespace(factor=1.0)

@@ -5,7 +5,7 @@ import torch
 
 from plugins.uniform import Uniform
 from toolkit.sweep.fit import LARGEST_SPREAD, SMALLEST_SPREAD, fit_sweep, outline, search
-from toolkit.sweep.model import compare
+from toolkit.sweep.likelihood import compare
 from toolkit.sweep.paths import PARABOLA, STRAIGHT
 
 

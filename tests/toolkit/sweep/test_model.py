@@ -9,7 +9,7 @@ from plugins.two_colour import TwoColour
 from plugins.uniform import Uniform
 from toolkit.motion import SPEED
 from toolkit.sweep.doubt import J_state, motion_of
-from toolkit.sweep.model import compare
+from toolkit.sweep.likelihood import compare
 from toolkit.sweep.paths import PARABOLA, STRAIGHT, BouncePath
 from toolkit.sweep.pixels import Frame
 from toolkit.sweep.shade import Shaded

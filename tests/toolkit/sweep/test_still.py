@@ -5,8 +5,8 @@ import torch
 
 from plugins.uniform import Uniform
 from toolkit import measure
+from toolkit.sweep.likelihood import compare
 from toolkit.sweep.misfit import look_for_misfit
-from toolkit.sweep.model import compare
 from toolkit.sweep.paths import PARABOLA
 from toolkit.sweep.still import looks_still, speed_limit
 
