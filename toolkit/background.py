@@ -9,13 +9,15 @@ from torch import Tensor
 
 from toolkit.demosaicing import tile
 from toolkit.errors import MismatchError
-from toolkit.ranks import ranked_value
+from toolkit.ranks import HALF_OF_NORMAL, ranked_value
 from toolkit.types import LinearImage, NoiseModel
 
 SAMPLES = 30_000
 """Pixels a channel, at least, that the statistics look at: a variance is then right to 1 %."""
 LEVELS = 8
 """Groups of equal count by brightness, from which the noise's dependence on the level is read."""
+MEDIAN_STD = 1.2533
+"""Standard deviation of a median of normal values over that of their mean."""
 MIN_STD = 2e-5
 """Share of white below which no camera's noise lies (a quarter step of 14 bits)."""
 
@@ -54,8 +56,14 @@ class PairSamples:
     def drift(self) -> Tensor:
         """Give the median ratio of shot to background per channel, [3]."""
         pairs = zip(self.level, self.difference, strict=True)
-        ratios = [_ratio(level, difference, self.frames) for level, difference in pairs]
+        ratios = [_ratio(level, difference, self.frames)[0] for level, difference in pairs]
         return torch.tensor(ratios, dtype=torch.float64)
+
+    def drift_std(self) -> Tensor:
+        """Give the standard deviation of `drift` that noise leaves it, [3]."""
+        pairs = zip(self.level, self.difference, strict=True)
+        stds = [_ratio(level, difference, self.frames)[1] for level, difference in pairs]
+        return torch.tensor(stds, dtype=torch.float64)
 
 
 def sample_pair(
@@ -113,14 +121,18 @@ def brightness_drift(
     return sample_pair(image, background, ignore).drift()
 
 
-def _ratio(level: Values, difference: Values, frames: float) -> float:
+def _ratio(level: Values, difference: Values, frames: float) -> tuple[float, float]:
+    """Give the median ratio of shot to background, and the standard deviation of that median."""
     if not len(level):  # all is clipped, and nothing tells of another light
-        return 1.0
+        return 1.0, 0.0
     bright = np.argpartition(level, len(level) // 2)[len(level) // 2 :]
-    share = float(ranked_value(difference[bright] / level[bright].clip(1e-3), 0.5))
+    shares = difference[bright] / level[bright].clip(1e-3)
+    share = float(ranked_value(shares, 0.5))
+    spread = float(ranked_value(np.abs(shares - share), 0.5)) / HALF_OF_NORMAL
     own = 1 / (1 + frames)  # of the shot in the level
     # a background without light leaves nothing below: the ratio is as good as infinite
-    return (1 + (1 - own) * share) / max(1 - own * share, 1e-6)
+    ratio = (1 + (1 - own) * share) / max(1 - own * share, 1e-6)
+    return ratio, MEDIAN_STD * spread / len(bright) ** 0.5
 
 
 def scale_background(background: LinearImage, ratio: Tensor) -> LinearImage:
@@ -202,7 +214,7 @@ def _robust_variance(difference: Values) -> Values:
     """
     size = np.abs(difference - ranked_value(difference, 0.5)[:, None])
     half, most, nearly_all = (ranked_value(size, share) for share in (0.5, 0.8, 0.98))
-    spread = np.maximum(half / 0.674, most / 1.282)
+    spread = np.maximum(half / HALF_OF_NORMAL, most / 1.282)
     spread = np.where(spread > 0, spread, nearly_all)
     kept = size <= 4 * spread[:, None]
     count = np.count_nonzero(kept, axis=-1)

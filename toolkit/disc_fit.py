@@ -7,6 +7,7 @@ from torch import Tensor
 
 from toolkit.ball import Disc
 from toolkit.errors import CalibrationError
+from toolkit.ranks import HALF_OF_NORMAL
 from toolkit.rim import Rim
 
 MIN_DIRECTIONS = 16
@@ -74,7 +75,7 @@ def _harmonics(angle: Tensor) -> Tensor:
 def _robust_scale(values: Tensor, usable: Tensor) -> float:
     if not bool(usable.any()):
         return 1.0
-    return max(float(values[usable].abs().median()) / 0.674, 1.0)
+    return max(float(values[usable].abs().median()) / HALF_OF_NORMAL, 1.0)
 
 
 def _outline_std(rim: Rim, change: Tensor, weight: Tensor) -> float:

@@ -5,6 +5,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+HALF_OF_NORMAL = 0.6745
+"""Standard deviations within which half of normal noise lies."""
+
 
 def ranked_value(values: NDArray[Any], share: float = 0.5) -> NDArray[Any]:
     """Give the value below which a share of those along the last axis lies, without interpolation.

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.errors import MismatchError
-from toolkit.ranks import ranked_value
+from toolkit.ranks import HALF_OF_NORMAL, ranked_value
 from toolkit.types import LinearImage
 
 GREEN = 1
@@ -114,7 +114,7 @@ def _steep(picture: Map, slope: Map) -> Mask:
     # second differences see noise and hardly any texture; their gain is 6 (Immerkaer 1996)
     kernel = np.outer([1, -2, 1], [1, -2, 1]).astype(np.float32)
     rough = np.abs(cv2.filter2D(picture, cv2.CV_32F, kernel))
-    noise = float(ranked_value(rough.ravel()[::SPARSE])) / 0.674 / 6
+    noise = float(ranked_value(rough.ravel()[::SPARSE])) / HALF_OF_NORMAL / 6
     # the gain of a Gaussian's derivative is 1 / (sqrt(8 pi) sigma^2)
     noise_slope = noise / ((8 * math.pi) ** 0.5 * SMOOTHING**2)
     limit = max(

@@ -16,6 +16,8 @@ from toolkit.types import LinearImage, NoiseModel, Streak
 
 DRIFT = 0.003
 """Relative change of the light since the background beyond which the background follows it."""
+CERTAIN = 4.0
+"""Its standard deviations beyond which a change is none of noise alone."""
 FIRST_SAMPLES = 10_000
 """Pixels a channel whose noise and light are looked at to find the streak."""
 WINDOW = 2.5
@@ -67,7 +69,8 @@ def observe_streak(
     ignore = around(streak)
     samples = sample_pair(image, background, ignore)
     drift = samples.drift()
-    if bool(((drift - 1).abs() > DRIFT).any()):
+    least = (CERTAIN * samples.drift_std()).clamp_min(DRIFT)
+    if bool(((drift - 1).abs() > least).any()):
         background = scale_background(background, drift)
         noise = estimate_noise(image, background, ignore)
         streak = find_streak(image, background, noise, estimator, roi)

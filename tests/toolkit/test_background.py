@@ -3,7 +3,13 @@ from dataclasses import replace
 import pytest
 import torch
 
-from toolkit.background import brightness_drift, check_pair, estimate_noise, scale_background
+from toolkit.background import (
+    brightness_drift,
+    check_pair,
+    estimate_noise,
+    sample_pair,
+    scale_background,
+)
 from toolkit.errors import MismatchError
 from toolkit.synthetic import NoiseLevel, add_noise, textured_background
 from toolkit.types import LinearImage
@@ -157,6 +163,12 @@ def test_without_drift_none_is_found(scene, read):
     std = 1.25 * 2**0.5 * read / float(scene.mean()) / bright_samples**0.5
     assert (torch.stack(drifts).mean(0) - 1).abs().max() < 4 * std / 2
     assert std < 0.005
+
+
+def test_the_drift_errs_by_as_much_as_it_says():
+    samples = [sample_pair(*pair(NoiseLevel(read=0.02), seed=seed)) for seed in range(30)]
+    sigmas = torch.cat([(one.drift() - 1) / one.drift_std() for one in samples])
+    assert 0.8 < float(sigmas.square().mean().sqrt()) < 1.25
 
 
 def test_drift_behind_a_mosaic():

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from toolkit.ranks import HALF_OF_NORMAL
 from toolkit.sweep.fit import SweepFit
 from toolkit.sweep.likelihood import Comparison
 
@@ -22,8 +23,6 @@ CHANCE = 3.5
 """Standard deviations by which a mean square may exceed 1 by chance."""
 COVERED = 1e-4
 """Opacity from which a pixel counts as covered."""
-HALF_OF_NORMAL = 0.6745
-"""Standard deviations within which half of normal noise lies."""
 FEWEST = 6
 """Patches from which there is something to be said."""
 
