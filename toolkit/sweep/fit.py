@@ -12,8 +12,9 @@ from toolkit.sweep.model import SweepModel
 from toolkit.sweep.pixels import Frame, StreakPixels
 
 MAX_STEPS = 40
-SETTLED = 1e-2
-"""Chi-square that a further step may promise: a tenth of a standard deviation, squared."""
+SETTLED = 0.05
+"""Chi-square that a further step may promise: shared among a dozen numbers, each then lies within a
+tenth of a standard deviation of the most likely one."""
 ROUGHLY = 0.5
 """The same on coarse squares."""
 FIRST_DAMPING = 1e-4
@@ -90,9 +91,10 @@ def search(
     converged, iterations, k = False, 0, model.path.size
     while iterations < MAX_STEPS:
         step, gain = seen.step(damping)
-        bounded = (x[k] + step[k]).clamp(SMALLEST_SPREAD, LARGEST_SPREAD) - x[k]
-        if float(bounded) != float(step[k]):
-            step, gain = seen.step(damping, held=(k, float(bounded)))
+        least, most = SMALLEST_SPREAD - float(x[k]), LARGEST_SPREAD - float(x[k])
+        if not least <= float(step[k]) <= most:
+            bounded = min(max(float(step[k]), least), most)
+            step, gain = seen.step(damping, held=(k, bounded))
         if gain < tolerance:
             converged = math.isfinite(seen.cost)
             break

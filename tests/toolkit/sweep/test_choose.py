@@ -115,7 +115,7 @@ def test_a_rough_start_is_bettered_on_squares_first(streak):
     assert rough.converged
     assert rough.model.path == close.model.path == STRAIGHT
     std = close.covariance.diagonal().sqrt()
-    assert ((rough.parameters - close.parameters).abs() < 0.2 * std).all()
+    assert ((rough.parameters - close.parameters).abs() < 0.3 * std).all()
 
 
 def test_only_a_close_start_can_be_left(streak):
