@@ -7,7 +7,7 @@ from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator
 from toolkit.errors import StreakError
-from toolkit.sweep.fit import SweepFit, fit_sweep, outline
+from toolkit.sweep.fit import SweepFit, fit_sweep, half_widths, outline
 from toolkit.sweep.likelihood import compare
 from toolkit.sweep.misfit import bulk_excess, look_for_misfit
 from toolkit.sweep.model import SweepModel
@@ -18,12 +18,16 @@ from toolkit.sweep.shade import Shaded
 EVIDENCE = 4.0
 """Chi-square that each further number must gain: three are added by chance once in a hundred."""
 CLOSE = 0.15
-"""Ball radii to which a path must follow the start, lest the search begin too far away."""
+"""Half widths to which a path must follow the start in the picture, lest the search begin too far
+away. Depth and pace along a start are too rough to ask for a bend."""
 PIECES = (2, 3, 4, 6, 8, 12)
 """Of the splines tried."""
 SHORTEST_BEND = 2.0
 """Ball radii of travel from which a bend of the path is looked for."""
-SAMPLES = 65
+PROLONGED = 0.1
+"""Share of its time by which a path is drawn longer where a start is held against it: the start's
+ends are rough along the path."""
+SAMPLES, DENSE = 65, 513
 FINE, COARSE = 12.0, 7.0
 """Squares to the half width: where the path is chosen, and where a rough start is bettered."""
 LARGEST_SQUARE = 6
@@ -68,8 +72,7 @@ def most_likely_motion(frame: Frame, model: SweepModel, start: Start) -> SweepFi
         model: its path is chosen here.
         start: of the search.
     """
-    path = _first_path(start, model.ball_radius)
-    model = replace(model, path=path)
+    model = replace(model, path=_first_path(start, model))
     x = _first_parameters(model, start)
     _, half_width = outline(model, x)
     if not half_width < max(frame.usable.shape):
@@ -163,17 +166,29 @@ def _with_shade(
     return fit_sweep(model, x, frame, side=side, doubt=2.0 * side)
 
 
-def _first_path(start: Start, ball_radius: float) -> SweepPath:
+def _first_path(start: Start, model: SweepModel) -> SweepPath:
     """Take the simplest path that follows the start."""
     if start.corner is not None:
         return BouncePath((start.corner,), is_accelerated=False)
     paths: list[SweepPath] = [STRAIGHT, PARABOLA, *(SplinePath(2, n) for n in PIECES)]
+    seen, half_width = model.camera.project(start.path), half_widths(model, start.path)
     for path in paths:
-        shape = path.through(start.time, start.path)
-        gap = path.arcs(shape).at(start.time)[0] - start.path
-        if float(torch.linalg.vector_norm(gap, dim=-1).max()) < CLOSE * ball_radius:
+        arcs = path.arcs(path.through(start.time, start.path))
+        points = arcs.at(_prolonged(start))[0]
+        points = points[points[:, 2] > model.ball_radius]
+        if not len(points):
+            continue
+        gap = torch.cdist(seen, model.camera.project(points)).amin(1)
+        if bool((gap < CLOSE * half_width).all()):
             return path
     return paths[-1]
+
+
+def _prolonged(start: Start) -> Tensor:
+    """Give times densely, from a little before the first point to a little after the last."""
+    first, last = start.span
+    more = PROLONGED * (last - first)
+    return torch.linspace(first - more, last + more, DENSE, dtype=torch.float64)
 
 
 def _asked_for(fit: SweepFit) -> tuple[SweepModel, Tensor] | None:

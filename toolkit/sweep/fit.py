@@ -120,7 +120,7 @@ def outline(model: SweepModel, x: Tensor) -> tuple[Tensor, float]:
     Where rows are read one after another it is the path while any row sees the ball.
     """
     points = _path_points(model, x)
-    place, size = model.camera.project(points), float(_half_widths(model, points).max())
+    place, size = model.camera.project(points), float(half_widths(model, points).max())
     if not model.row_delay:
         return place, size
     span = (-0.5, 0.5)
@@ -130,10 +130,11 @@ def outline(model: SweepModel, x: Tensor) -> tuple[Tensor, float]:
         early, late = (model.row_delay * (rows + torch.tensor([-size, size]))).tolist()
         span = (max(early, -LONGEST_DELAY) - 0.5, min(late, LONGEST_DELAY) + 0.5)
     points = _path_points(model, x, span)
-    return model.camera.project(points), float(_half_widths(model, points).max())
+    return model.camera.project(points), float(half_widths(model, points).max())
 
 
-def _half_widths(model: SweepModel, points: Tensor) -> Tensor:
+def half_widths(model: SweepModel, points: Tensor) -> Tensor:
+    """Give the half width of the ball's image at each point of a path [T], px."""
     focal = max(model.camera.fx, model.camera.fy)
     # seen askew a sphere's image is longer than wide
     distance = torch.linalg.vector_norm(points, dim=-1)
