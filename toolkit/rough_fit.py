@@ -17,7 +17,7 @@ from toolkit.rough_path import RoughPath
 from toolkit.rough_pixels import Blocks
 
 INSTANTS_PER_HALF_WIDTH = 4
-MIN_INSTANTS, MAX_INSTANTS = 9, 64
+MIN_INSTANTS, MAX_INSTANTS = 9, 128
 RIM = math.sqrt(5)
 """Half width of a parabola over its standard deviation."""
 LENS = 0.7

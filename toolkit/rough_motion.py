@@ -18,7 +18,13 @@ from toolkit.camera import Camera
 from toolkit.rough_fit import STEPS, RoughFit, fit_disc
 from toolkit.rough_path import RoughPath
 from toolkit.rough_pixels import Blocks, block_pixels
-from toolkit.rough_starts import arc_starts, corner_starts, extremes, straight_start
+from toolkit.rough_starts import (
+    arc_starts,
+    corner_starts,
+    extremes,
+    flight_starts,
+    straight_start,
+)
 from toolkit.types import Streak
 from toolkit.view import StreakView
 
@@ -87,13 +93,16 @@ class _Search:
         straight = self.fit(start)
         distance = float(torch.linalg.vector_norm(start.coefficients[0]))
         places = extremes(streak, self.camera, distance)
-        arc = self.best(arc_starts(straight.path, places))
+        flight, bounced = flight_starts(self.blocks, streak, distance, self.camera)
+        arc = self.best([*arc_starts(straight.path, places), flight])
         simpler = arc if _explains_more(arc, straight) else straight
         corner = self.best(corner_starts(arc.path, places))
+        if not _explains_more(corner, simpler) and simpler.excess < WELL * simpler.count:
+            return simpler
+        accelerated = self.best([corner.path.accelerated(), bounced])
+        corner = accelerated if accelerated.cost < corner.cost - EVIDENCE / 2 else corner
         if not _explains_more(corner, simpler):
             return simpler
-        accelerated = self.fit(corner.path.accelerated())
-        corner = accelerated if accelerated.cost < corner.cost - EVIDENCE / 2 else corner
         return corner if _has_corner(corner.path, self.ball_radius) else simpler
 
     def best(self, starts: list[RoughPath]) -> RoughFit:

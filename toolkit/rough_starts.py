@@ -7,6 +7,7 @@ from torch import Tensor
 
 from toolkit.camera import Camera
 from toolkit.rough_path import RoughPath
+from toolkit.rough_pixels import Blocks
 from toolkit.types import Streak
 
 FIRST_TRAVEL = 0.3
@@ -15,6 +16,14 @@ INSIDE = 0.6
 """Half widths from the streak's outline from which the ball's centre may have been."""
 POINTS = 33
 """Instants at which a path is approximated by another kind."""
+MIDDLE = 0.5
+"""Half widths from the middle line up to which blocks tell how long the ball was there."""
+CORNERS = 33
+"""Instants at which a flight may have turned a corner."""
+LATEST = 0.45
+"""Share of the exposure from its middle up to which they lie."""
+LONGEST_GAP = 1.0
+"""Half widths between the places of a flight."""
 
 
 def straight_start(streak: Streak, camera: Camera, ball_radius: float) -> RoughPath:
@@ -53,6 +62,54 @@ def corner_starts(arc: RoughPath, places: Tensor) -> list[RoughPath]:
         _through(middle, first, last),
         _through(first, last, middle),
     ]
+
+
+def flight_starts(
+    blocks: Blocks, streak: Streak, distance: float, camera: Camera
+) -> tuple[RoughPath, RoughPath]:
+    """Give the free flight, and that with a corner, that the streak's middle line tells.
+
+    Opacity is how long the ball was at each place, and so the clock of its flight. [derived]
+
+    Args:
+        blocks: about the streak.
+        streak: its axis in order.
+        distance: of the ball, m.
+        camera: of the shot.
+    """
+    line = _without_tips(streak.axis[0], float(streak.half_width))
+    steps = torch.linalg.vector_norm(line.diff(dim=0), dim=-1)
+    apart, nearest = torch.cdist(blocks.place, line).min(1)
+    is_used = (apart < MIDDLE * blocks.half_width) & torch.isfinite(blocks.variance).all(1)
+    nearest = nearest[is_used]
+    total = torch.zeros(len(line), blocks.change.shape[1], dtype=torch.float64)
+    total.index_add_(0, nearest, blocks.change[is_used])
+    count = torch.bincount(nearest, minlength=len(line)).clamp_min(1)
+    stay = torch.linalg.vector_norm(total / count[:, None], dim=-1)
+    passed = torch.cat([steps.new_zeros(1), ((stay[1:] + stay[:-1]) / 2 * steps).cumsum(0)])
+    time = passed / passed[-1].clamp_min(1e-12) - 0.5
+    points = distance * camera.unproject(line)
+    none = torch.zeros(3, 3, dtype=torch.float64)
+    arc = _nearest(time, points, RoughPath(coefficients=none))
+    bent = torch.zeros(4, 3, dtype=torch.float64)
+    corners = [
+        _nearest(time, points, RoughPath(coefficients=bent, corner=corner))
+        for corner in torch.linspace(-LATEST, LATEST, CORNERS).tolist()
+    ]
+    corner = min(corners, key=lambda path: float(((path.at(time) - points) ** 2).sum()))
+    return arc, corner
+
+
+def _without_tips(axis: Tensor, half_width: float) -> Tensor:
+    """Give places of the ball's centre along an axis from tip to tip [N, 2] px."""
+    steps = torch.linalg.vector_norm(axis.diff(dim=0), dim=-1)
+    along = torch.cat([steps.new_zeros(1), steps.cumsum(0)])
+    length = float(along[-1])
+    cut = min(half_width, 0.4 * length)
+    count = max(POINTS, int((length - 2 * cut) / (LONGEST_GAP * half_width)))
+    at = np.linspace(cut, length - cut, count)
+    columns = [np.interp(at, along.numpy(), values.numpy()) for values in axis.mT]
+    return torch.from_numpy(np.stack(columns, axis=-1))
 
 
 def extremes(streak: Streak, camera: Camera, distance: float) -> Tensor:

@@ -16,7 +16,14 @@ from toolkit.alpha import AlphaEstimator, Observation
 from toolkit.demosaicing import superpixels
 from toolkit.errors import ConfigError, StreakError
 from toolkit.splines import fit_smooth
-from toolkit.streak_shape import AXIS_POINTS, Map, Mask, Region, is_of_a_ball, regions
+from toolkit.streak_shape import (
+    AXIS_POINTS,
+    Map,
+    Mask,
+    Region,
+    is_of_a_ball,
+    regions,
+)
 from toolkit.types import LinearImage, NoiseModel, Streak
 
 MAX_SIDE = 540
@@ -28,6 +35,8 @@ LEAST_VARIANCE = 1e-14
 MIN_SIGNIFICANCE = 5.0
 """Smoothed opacity over its standard deviation: one false pixel in a million."""
 MIN_OPACITY = 0.04
+FAINT = 0.008
+"""Opacity down to which a streak is followed on from where it is clear."""
 MIN_LIKENESS = 0.2
 """Share of a pixel's change that the ball's colour must explain: little, since the light varies."""
 MIN_AREA = 60
@@ -121,17 +130,17 @@ def _search(scene: _Scene, factor: int, min_area: int) -> _Search:
         _averaged(scene.noise, factor),
     )
     opacity, significance, likeness = _evidence(observation, scene.estimator)
-    found = (
-        (significance > MIN_SIGNIFICANCE) & (opacity > MIN_OPACITY) & (likeness > MIN_LIKENESS)
-    ).astype(np.uint8)
+    seen = ((significance > MIN_SIGNIFICANCE) & (likeness > MIN_LIKENESS)).astype(np.uint8)
     if scene.roi is not None:
-        region = _roi_mask(scene.roi, factor, found.shape)
-        found &= region
+        region = _roi_mask(scene.roi, factor, seen.shape)
+        seen &= region
         significance = significance * region
+    found = seen * (opacity > MIN_OPACITY)
+    faint = seen * (opacity > FAINT)
     merit = opacity * likeness
     return _Search(
         regions=sorted(
-            regions(found, min_area),
+            regions(found, faint, min_area),
             key=lambda region: float(merit[region.mask > 0].sum()) * region.evenness,
             reverse=True,
         ),

@@ -8,8 +8,18 @@ import pytest
 import torch
 
 from plugins.uniform import Uniform
-from toolkit import ConfigError, MismatchError, ProfileFlag, StreakError, measure, pipeline
-from toolkit.synthetic import add_noise, benchmark_scene, preset_scene, render_shot
+from toolkit import Camera, ConfigError, MismatchError, ProfileFlag, StreakError, measure, pipeline
+from toolkit.synthetic import (
+    BouncingPath,
+    NoiseLevel,
+    PlainBall,
+    Scene,
+    add_noise,
+    benchmark_scene,
+    preset_scene,
+    render_shot,
+    textured_background,
+)
 
 
 @pytest.fixture(scope="module")
@@ -206,6 +216,29 @@ def test_a_bounce_has_no_contours_to_follow():
     scene = preset_scene("bounce", size=(600, 400), seed=0)
     with pytest.raises(StreakError, match="corner"):
         run(render_shot(scene, seed=0), stage="contours")
+
+
+@pytest.mark.parametrize("exposure", [0.5, 1.0])
+def test_a_throw_and_a_bounce_are_followed_through_a_long_exposure(exposure):
+    scene = Scene(
+        camera=Camera.centred(300, 210, 375.0),
+        path=BouncingPath(
+            start=(-0.31, 0.165, 0.94), start_velocity=(0.62, -2.75, 0.14), contact_height=0.17
+        ),
+        ball_radius=0.02,
+        exposure=exposure,
+        appearance=PlainBall(colour=(0.9, 0.9, 0.9)),
+        background=textured_background(300, 210, colour=(0.12, 0.12, 0.12), contrast=0.05),
+        noise=NoiseLevel(read=0.003),
+    )
+    found = run(render_shot(scene, seed=0), colour=(0.9, 0.9, 0.9))
+    assert found.stage == "sweep"
+    time = torch.linspace(0, exposure, 2001, dtype=torch.float64)
+    true = scene.path.position(time).numpy()
+    path, std = np.array(found.trajectory.position_m), np.array(found.trajectory.position_std_m)
+    gaps = np.array([np.linalg.norm(true - point, axis=-1).min() for point in path])
+    assert gaps.mean() < 0.1 * scene.ball_radius
+    assert (gaps < 4 * np.linalg.norm(std, axis=-1)).all()
 
 
 def test_inputs_that_do_not_fit_are_named(shot):

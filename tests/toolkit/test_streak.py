@@ -10,7 +10,7 @@ from toolkit import ConfigError, LinearImage, StreakError
 from toolkit.background import estimate_noise
 from toolkit.demosaicing import demosaic
 from toolkit.streak import _reduced, find_streak, refine_axis
-from toolkit.streak_shape import trace_axis
+from toolkit.streak_shape import regions, trace_axis
 from toolkit.synthetic import NoiseLevel, add_noise, benchmark_scene, render_shot
 from toolkit.synthetic.render import BACKGROUND, SHOT, record
 from toolkit.view import observe_streak
@@ -209,6 +209,51 @@ def test_the_traced_axis_follows_an_arc(turn):
     radius = np.hypot(axis[:, 0] - 150, axis[:, 1] - 150)
     assert np.abs(radius[8:-8] - 90).max() < 2.5
     assert half_width == pytest.approx(10.5, abs=2)
+
+
+def test_the_traced_axis_keeps_to_the_middle_of_two_throws():
+    time = np.linspace(0, 1.9, 200)
+    x, height = 40 + 160 * time, 220 * np.abs(np.sin(np.pi * time)) ** 0.8
+    points = np.stack([x, 260 - height], -1)
+    mask = np.zeros((300, 400), np.uint8)
+    cv2.polylines(mask, [points.round().astype(np.int32)[:, None]], False, 1, thickness=19)
+    axis, half_width = trace_axis(mask)
+    apart = np.linalg.norm(axis[:, None] - points, axis=-1).min(1)
+    assert np.sort(apart)[-12] < 0.5 * half_width  # all but at tips and corner
+    assert np.abs(axis[0] - points[0]).max() < 2 * half_width
+    assert np.abs(axis[-1] - points[-1]).max() < 2 * half_width
+    assert half_width == pytest.approx(9.5, abs=3.5)
+
+
+def band(length, thickness, start=60):
+    mask = np.zeros((120, 320), np.uint8)
+    cv2.line(mask, (start, 60), (start + length, 60), 1, thickness=thickness)
+    return mask
+
+
+def test_a_streak_goes_on_where_it_is_faint():
+    core = band(60, 17, start=120)
+    (alone,) = regions(core, core, 60)
+    (whole,) = regions(core, band(220, 21), 60)
+    assert alone.mask.sum() < 0.4 * whole.mask.sum()
+    assert whole.axis[[0, -1], 0] == pytest.approx([50, 290], abs=4)
+
+
+def test_what_is_faint_about_a_streak_is_none_of_it():
+    core = band(100, 21)
+    shadow = core.copy()
+    cv2.circle(shadow, (110, 60), 45, 1, -1)
+    rim = band(100, 25)
+    (alone,) = regions(core, core, 60)
+    for faint in (shadow, rim):
+        (found,) = regions(core, faint, 60)
+        assert np.array_equal(found.mask, alone.mask)
+
+
+def test_two_clear_parts_of_one_streak_are_one():
+    core = band(40, 17) | band(40, 17, start=200)
+    assert len(list(regions(core, core, 60))) == 2
+    assert len(list(regions(core, band(180, 21), 60))) == 1
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.4, 1.3, 2.5])

@@ -90,6 +90,8 @@ def most_likely_motion(frame: Frame, model: SweepModel, start: Start) -> SweepFi
     if excess > MISFIT:
         frame = frame.noisier(excess)
         fit = fit_sweep(model, x, frame, side=fine, doubt=2.0 * fine)
+    if not fit.converged:  # it leads nowhere
+        return fit
     fit = _shaded_if_asked(fit, frame, fine)
     while (richer := _asked_for(fit)) is not None:
         trial = fit_sweep(richer[0], richer[1], frame, side=fine, doubt=2.0 * fine)
@@ -168,9 +170,9 @@ def _with_shade(
 
 def _first_path(start: Start, model: SweepModel) -> SweepPath:
     """Take the simplest path that follows the start."""
-    if start.corner is not None:
-        return BouncePath((start.corner,), is_accelerated=False)
     paths: list[SweepPath] = [STRAIGHT, PARABOLA, *(SplinePath(2, n) for n in PIECES)]
+    if start.corner is not None:
+        paths = [BouncePath((start.corner,), is_accelerated=bends) for bends in (False, True)]
     seen, half_width = model.camera.project(start.path), half_widths(model, start.path)
     for path in paths:
         arcs = path.arcs(path.through(start.time, start.path))
