@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator, Observation
-from toolkit.demosaicing import superpixels
+from toolkit.block_means import block_means, whole_periods
 from toolkit.errors import ConfigError, StreakError
 from toolkit.splines import fit_smooth
 from toolkit.streak_shape import (
@@ -125,8 +125,8 @@ def _search(scene: _Scene, factor: int, min_area: int) -> _Search:
         min_area: px of the reduced picture.
     """
     observation = scene.estimator.observe(
-        _reduced(scene.image, factor),
-        _reduced(scene.background, factor),
+        block_means(scene.image, factor),
+        block_means(scene.background, factor),
         _averaged(scene.noise, factor),
     )
     opacity, significance, likeness = _evidence(observation, scene.estimator)
@@ -201,38 +201,7 @@ def refine_axis(middle: Tensor, weight: Tensor, position: Tensor, sizes: tuple[i
 def _reduction(image: LinearImage) -> int:
     """Choose by how much to reduce a picture; a mosaic by whole periods of its pattern."""
     factor = max(1, math.ceil(max(image.width, image.height) / MAX_SIDE))
-    period = 1 if image.pattern is None or factor == 1 else len(image.pattern)
-    return math.ceil(factor / period) * period
-
-
-def _reduced(image: LinearImage, factor: int) -> LinearImage:
-    """Average blocks of factor x factor px; an incomplete last block is cut off."""
-    if factor == 1:
-        return image
-    width, height = image.width // factor, image.height // factor
-    area = (..., slice(height * factor), slice(width * factor))
-    if image.mosaic is not None and image.pattern and factor % len(image.pattern) == 0:
-        rgb = superpixels(image.mosaic[0, 0].numpy(), image.pattern, factor)
-    else:
-        planes = [
-            cv2.resize(plane, (width, height), interpolation=cv2.INTER_AREA)
-            for plane in image.rgb[area][0].numpy()
-        ]
-        rgb = np.stack(planes)
-    met_white = np.zeros((height, width), np.bool_)
-    clipped = image.clipped[area][0, 0].numpy()
-    if clipped.any():
-        # the largest of the block that starts at a pixel
-        block = np.ones((factor, factor), np.uint8)
-        largest = cv2.dilate(clipped.view(np.uint8), block, anchor=(0, 0))
-        met_white = largest[::factor, ::factor] > 0
-    return replace(
-        image,
-        rgb=torch.from_numpy(rgb)[None],
-        clipped=torch.from_numpy(met_white)[None, None],
-        mosaic=None,
-        pattern=None,
-    )
+    return factor if factor == 1 else whole_periods(image, factor)
 
 
 def _averaged(noise: NoiseModel, factor: int) -> NoiseModel:

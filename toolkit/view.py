@@ -8,16 +8,12 @@ from torch import Tensor
 from toolkit.alpha import AlphaEstimator, Observation, observe_colours
 from toolkit.background import estimate_noise, sample_pair, scale_background
 from toolkit.box_filter import ring_mean
-from toolkit.clear_pixels import around, roughly_lit
+from toolkit.clear_pixels import around, clear_light, is_changed, roughly_lit
 from toolkit.errors import StreakError
 from toolkit.scene_match import check_light, check_same_scene
 from toolkit.streak import ROI, find_streak
 from toolkit.types import LinearImage, NoiseModel, Streak
 
-DRIFT = 0.003
-"""Relative change of the light since the background beyond which the background follows it."""
-CERTAIN = 4.0
-"""Its standard deviations beyond which a change is none of noise alone."""
 FIRST_SAMPLES = 10_000
 """Pixels a channel whose noise and light are looked at to find the streak."""
 WINDOW = 2.5
@@ -60,17 +56,15 @@ def observe_streak(
         ConfigError: when the region lies outside the picture.
     """
     first = sample_pair(image, background, least=FIRST_SAMPLES)
-    light = first.drift()
-    check_light(light)
-    lit = roughly_lit(image, background, light)
+    check_light(first.drift())
+    lit = roughly_lit(image, background, *clear_light(image, background))
     check_same_scene(image, lit)
     noise = first.noise() if lit is background else estimate_noise(image, lit)
     streak = find_streak(image, lit, noise, estimator, roi)
     ignore = around(streak)
     samples = sample_pair(image, background, ignore)
     drift = samples.drift()
-    least = (CERTAIN * samples.drift_std()).clamp_min(DRIFT)
-    if bool(((drift - 1).abs() > least).any()):
+    if is_changed(drift, samples.drift_std()):
         background = scale_background(background, drift)
         noise = estimate_noise(image, background, ignore)
         streak = find_streak(image, background, noise, estimator, roi)

@@ -1,5 +1,7 @@
 """Telling the background from the ball before and after it is found."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ import torch
 
 from plugins.uniform import Uniform
 from toolkit import LinearImage, MismatchError
-from toolkit.clear_pixels import grown, roughly_lit
+from toolkit.clear_pixels import clear_light, grown, is_changed, roughly_lit
 from toolkit.synthetic import NoiseLevel, benchmark_scene, render_shot
 from toolkit.view import observe_streak
 
@@ -42,10 +44,52 @@ def test_another_light_is_followed_behind_a_still_ball(light):
 
 def test_a_wrong_light_is_not_followed():
     shot = still_ball(150)
-    doubled = torch.full((3,), 2.0, dtype=torch.float64)
-    assert roughly_lit(shot.image, shot.background, doubled) is shot.background
+    doubled, certain = torch.full((3,), 2.0, dtype=torch.float64), torch.zeros(3)
+    assert roughly_lit(shot.image, shot.background, doubled, certain) is shot.background
     half = LinearImage(rgb=shot.background.rgb / 2, clipped=shot.background.clipped)
-    assert torch.allclose(roughly_lit(shot.image, half, doubled).rgb, shot.background.rgb)
+    lit = roughly_lit(shot.image, half, doubled, certain)
+    assert torch.allclose(lit.rgb, shot.background.rgb)
+    assert roughly_lit(shot.image, half, doubled, torch.ones(3)) is half
+
+
+def in_other_light(shot, light):
+    share = torch.tensor(light)[:, None, None]
+    return replace(shot.background, rgb=shot.background.rgb / share)
+
+
+@pytest.mark.parametrize("noise", [0.005, 0.03])
+@pytest.mark.parametrize("light", [(0.97, 0.97, 0.97), (1.03, 0.99, 1.0)])
+def test_a_small_change_of_the_light_is_seen_past_the_streak(noise, light):
+    """A faint streak over a fifth of the picture, well within single pixels' noise."""
+    level, size = NoiseLevel(read=noise), (500, 200)
+    scene = benchmark_scene(width_px=60, length_widths=6, heading=0.0, noise=level, size=size)
+    shot = render_shot(scene, seed=3, step=1.0)
+    assert float((shot.alpha > 0.01).float().mean()) > 0.15
+    ground = in_other_light(shot, light)
+    found, std = clear_light(shot.image, ground)
+    assert ((found - torch.tensor(light)).abs() < 5 * std + 3e-4).all()
+    assert is_changed(found, std)
+    view = observe_streak(shot.image, ground, Uniform())
+    assert float(view.streak.half_width) == pytest.approx(30, rel=0.2)
+    tips = shot.scene.camera.project(
+        shot.scene.path.position(torch.tensor([0.0, shot.scene.exposure]))
+    )
+    assert torch.cdist(view.streak.axis[0, [0, -1]], tips).amin(0).max() < 45
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_alone_is_no_change_of_the_light(seed):
+    scene = benchmark_scene(width_px=40, length_widths=3, noise=NoiseLevel(read=0.02))
+    shot = render_shot(scene, seed=seed, step=1.0)
+    assert not is_changed(*clear_light(shot.image, shot.background))
+
+
+def test_a_picture_that_met_white_tells_nothing_of_the_light():
+    shot = still_ball(60)
+    white = replace(shot.image, clipped=torch.ones_like(shot.image.clipped))
+    light, std = clear_light(white, shot.background)
+    assert light.tolist() == [1, 1, 1]
+    assert not is_changed(light, std)
 
 
 @pytest.mark.parametrize("width", [60, 200])

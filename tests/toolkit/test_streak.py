@@ -9,7 +9,7 @@ from plugins.uniform import Uniform
 from toolkit import ConfigError, LinearImage, StreakError
 from toolkit.background import estimate_noise
 from toolkit.demosaicing import demosaic
-from toolkit.streak import _reduced, find_streak, refine_axis
+from toolkit.streak import find_streak, refine_axis
 from toolkit.streak_shape import regions, trace_axis
 from toolkit.synthetic import NoiseLevel, add_noise, benchmark_scene, render_shot
 from toolkit.synthetic.render import BACKGROUND, SHOT, record
@@ -162,24 +162,6 @@ def test_the_streak_is_found_behind_a_mosaic(size):
     assert gaps.max() < 2
     assert float(streak.half_width) == pytest.approx(12, abs=3)
     assert streak.mask.shape == image.clipped.shape
-
-
-@pytest.mark.parametrize("factor", [2, 4])
-@pytest.mark.parametrize("behind", [behind_mosaic, lambda image: image])
-def test_a_reduced_picture_averages_blocks_and_marks_those_that_met_white(factor, behind):
-    rgb = torch.full((1, 3, 21, 30), 0.25)
-    rgb[..., 8:12, 4:8] = 0.75
-    clipped = torch.zeros(1, 1, 21, 30, dtype=torch.bool)
-    clipped[..., [3, 13], [7, 20]] = True
-    reduced = _reduced(behind(LinearImage(rgb=rgb, clipped=clipped)), factor)
-    height, width = 21 // factor, 30 // factor
-    blocks = clipped[..., : height * factor, : width * factor]
-    blocks = blocks.reshape(1, 1, height, factor, width, factor)
-    assert torch.equal(reduced.clipped, blocks.any(-1).any(-2))
-    expected = torch.full((1, 3, height, width), 0.25)
-    expected[..., 8 // factor : 12 // factor, 4 // factor : 8 // factor] = 0.75
-    assert torch.allclose(reduced.rgb, expected)
-    assert reduced.mosaic is None
 
 
 def test_only_the_window_of_a_large_mosaic_is_demosaiced(monkeypatch):
