@@ -74,7 +74,7 @@ def most_likely_motion(frame: Frame, model: SweepModel, start: Start) -> SweepFi
     """
     model = replace(model, path=_first_path(start, model))
     x = _first_parameters(model, start)
-    _, half_width = outline(model, x)
+    half_width = float(outline(model, x)[1].max())
     if not half_width < max(frame.usable.shape):
         raise StreakError(
             "the rough motion leads out of the picture's window, so that the exact streak cannot "
@@ -113,7 +113,7 @@ def strays(fit: SweepFit, start: Start) -> float:
     points, _ = fit.model.path.arcs(shape).at(start.time)
     camera = fit.model.camera
     apart = torch.cdist(camera.project(points), camera.project(start.path)).amin(1)
-    return float(apart.max()) / outline(fit.model, fit.parameters)[1]
+    return float(apart.max() / outline(fit.model, fit.parameters)[1].max())
 
 
 def _descending(first: int, last: int) -> list[int]:

@@ -21,6 +21,8 @@ FIRST_DAMPING = 1e-4
 SMALLEST_SPREAD = 0.02
 LARGEST_SPREAD = 9.0
 """px^2, of lens and pixel; the pixel's own area counts for 1/12."""
+MOST_PIXELS = 400_000
+"""Compared one by one; of a larger streak squares are, which lose next to nothing there."""
 PATH_POINTS = 33
 SPAN_STEPS = 12
 LONGEST_DELAY = 3.0
@@ -74,6 +76,7 @@ def fit_sweep(
         doubt: px by which the start may be off.
     """
     path_px, half_width = outline(model, start)
+    side = max(side, _least_side(path_px, half_width))
     pixels = frame.about(path_px, half_width, side=side, doubt=doubt)
     # how the lens mixes rim and ground hangs so little on the path that the start tells it
     covered = model.opacity(start, pixels)
@@ -114,15 +117,27 @@ def search(
     )
 
 
-def outline(model: SweepModel, x: Tensor) -> tuple[Tensor, float]:
-    """Give the path in the picture [T, 2] px and the largest half width of the ball on it, px.
+def _least_side(path_px: Tensor, half_width: Tensor) -> int:
+    """Give the side of the squares that a streak falls into, px: of a large one not single pixels.
+
+    Args:
+        path_px: [T, 2] px.
+        half_width: [T] px.
+    """
+    steps = (path_px[1:] - path_px[:-1]).square().sum(-1).sqrt()
+    area = ((half_width[1:] + half_width[:-1]) * steps).sum() + math.pi * half_width.max() ** 2
+    return math.ceil(math.sqrt(float(area) / MOST_PIXELS))
+
+
+def outline(model: SweepModel, x: Tensor) -> tuple[Tensor, Tensor]:
+    """Give the path in the picture [T, 2] px and the half width of the ball on it [T], px.
 
     Where rows are read one after another it is the path while any row sees the ball.
     """
     points = _path_points(model, x)
-    place, size = model.camera.project(points), float(half_widths(model, points).max())
     if not model.row_delay:
-        return place, size
+        return model.camera.project(points), half_widths(model, points)
+    size = float(half_widths(model, points).max())
     span = (-0.5, 0.5)
     for _ in range(SPAN_STEPS):
         ends = _path_points(model, x, span)[[0, -1]]
@@ -130,7 +145,7 @@ def outline(model: SweepModel, x: Tensor) -> tuple[Tensor, float]:
         early, late = (model.row_delay * (rows + torch.tensor([-size, size]))).tolist()
         span = (max(early, -LONGEST_DELAY) - 0.5, min(late, LONGEST_DELAY) + 0.5)
     points = _path_points(model, x, span)
-    return model.camera.project(points), float(half_widths(model, points).max())
+    return model.camera.project(points), half_widths(model, points)
 
 
 def half_widths(model: SweepModel, points: Tensor) -> Tensor:

@@ -1,6 +1,5 @@
 """The pixels about a streak: what was observed there, with its noise, and where each one looks."""
 
-import math
 from dataclasses import dataclass, replace
 
 import cv2
@@ -14,6 +13,8 @@ from toolkit.camera import Camera
 from toolkit.sweep.opacity import PIXEL_VARIANCE
 from toolkit.sweep.passage import Rays
 from toolkit.view import StreakView
+
+Array = NDArray[np.float64]
 
 ROOM = 3.0
 """px beyond the ball's image within which pixels may see it, and what the path is uncertain by."""
@@ -143,13 +144,13 @@ class Frame:
         )
 
     def about(
-        self, path_px: Tensor, half_width: float, *, side: int = 1, doubt: float = 0.0
+        self, path_px: Tensor, half_width: Tensor | float, *, side: int = 1, doubt: float = 0.0
     ) -> StreakPixels:
         """Take the pixels about a path in the picture.
 
         Args:
             path_px: points of the path [T, 2] px.
-            half_width: of the ball's image, px, the largest.
+            half_width: of the ball's image at each of them [T], or at all, px.
             side: of the squares whose pixels are averaged.
             doubt: px by which the path and the half width may be off.
         """
@@ -157,9 +158,10 @@ class Frame:
         rows, columns = height // side, width // side
         corner = np.array(self.corner, dtype=np.float64)
         middle = (path_px.numpy() - corner + 0.5) / side - 0.5
-        reach = (half_width + ROOM + doubt) / side + 1
+        size = np.broadcast_to(np.asarray(half_width, dtype=np.float64), len(middle))
+        reach = (size + ROOM + doubt) / side + 1
         near = _band(middle, reach, rows, columns)
-        ring = _band(middle, reach + (BESIDE * half_width + 8) / side, rows, columns) - near
+        ring = _band(middle, reach + (BESIDE * size + 8) / side, rows, columns) - near
         usable = self.usable[None]
         maps: tuple[Tensor, ...]
         maps = (self.signal, self.ground, self.shot_variance, self.ground_variance)
@@ -187,11 +189,13 @@ class Frame:
         )
 
 
-def _band(middle: NDArray[np.float64], reach: float, rows: int, columns: int) -> NDArray[np.uint8]:
-    """Mark all within reach of a line [T, 2], its places in squares."""
+def _band(middle: Array, reach: Array, rows: int, columns: int) -> NDArray[np.uint8]:
+    """Mark all within reach [T] of a line [T, 2], its places in squares."""
     mask = np.zeros((rows, columns), np.uint8)
-    points = np.round(middle * 8).astype(np.int32)[:, None]
-    cv2.polylines(mask, [points], False, 1, thickness=max(1, math.ceil(2 * reach)), shift=3)
+    points = np.round(middle * 8).astype(np.int32)
+    widths = np.maximum(1, np.ceil(2 * np.maximum(reach[:-1], reach[1:]))).astype(np.int32)
+    for first, last, width in zip(points[:-1], points[1:], widths, strict=True):
+        cv2.line(mask, first.tolist(), last.tolist(), 1, thickness=int(width), shift=3)
     return mask
 
 

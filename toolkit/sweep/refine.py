@@ -166,8 +166,9 @@ def _both_ways(
 def _lead(first: SweepFit, second: SweepFit, frame: Frame) -> float:
     """Give the chi-square by which one fit beats another, all pixels of either compared."""
     outlines = [outline(fit.model, fit.parameters) for fit in (first, second)]
-    middle = torch.cat([outlines[0][0], outlines[1][0].flip(0)])
-    pixels = frame.noisier(first.pixels.excess).about(middle, max(size for _, size in outlines))
+    (middle, size), (other_middle, other_size) = outlines
+    middle, size = torch.cat([middle, other_middle.flip(0)]), torch.cat([size, other_size.flip(0)])
+    pixels = frame.noisier(first.pixels.excess).about(middle, size)
     costs = [compare(fit.model, fit.parameters, pixels).cost for fit in (first, second)]
     return (costs[1] - costs[0]) / look_for_misfit(first).factor
 

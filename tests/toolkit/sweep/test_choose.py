@@ -115,7 +115,10 @@ def test_a_rough_start_is_bettered_on_squares_first(streak):
     assert rough.converged
     assert rough.model.path == close.model.path == STRAIGHT
     std = close.covariance.diagonal().sqrt()
-    assert ((rough.parameters - close.parameters).abs() < 0.3 * std).all()
+    apart = (rough.parameters - close.parameters).abs() / std
+    # which pixels lie beside the streak hangs on the start, and with them the light's gain
+    assert (apart[: STRAIGHT.size] < 0.2).all()
+    assert (apart < 0.5).all()
 
 
 def test_only_a_close_start_can_be_left(streak):

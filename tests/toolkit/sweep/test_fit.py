@@ -130,12 +130,23 @@ def test_squares_of_pixels_say_nearly_the_same(streak, side):
     assert len(coarse.pixels) < 1.5 * len(fine.pixels) / side**2
 
 
-def test_the_outline_holds_the_path_and_the_largest_ball(streak):
+def test_the_outline_holds_the_path_and_the_ball_on_it(streak):
     seen = streak(distance_R=8.0, tilt=0.5, length_widths=2.0)
     points, half_width = outline(seen.model(PARABOLA), seen.truth(PARABOLA))
     camera = seen.scene.camera
     assert torch.allclose(points[[0, -1]], camera.project(seen.points(2)), atol=1e-6)
-    nearest = float(seen.points()[:, 2].min())
+    depth = seen.points(len(points))[:, 2]
     # a sphere's image is larger than R f / Z, by the cone that touches it
-    assert half_width > camera.fx * seen.scene.ball_radius / nearest
-    assert half_width < 1.1 * camera.fx * seen.scene.ball_radius / nearest
+    assert (half_width > camera.fx * seen.scene.ball_radius / depth).all()
+    assert (half_width < 1.1 * camera.fx * seen.scene.ball_radius / depth).all()
+
+
+def test_a_very_large_streak_is_compared_by_squares(streak, monkeypatch):
+    seen = streak()
+    whole = seen.fit()
+    monkeypatch.setattr("toolkit.sweep.fit.MOST_PIXELS", len(whole.pixels) // 3)
+    squares = seen.fit()
+    assert squares.pixels.side == 2
+    std = whole.covariance.diagonal().sqrt()
+    assert ((squares.parameters - whole.parameters).abs()[:6] < std[:6]).all()
+    assert (squares.covariance.diagonal().sqrt()[:6] < 1.15 * std[:6]).all()
