@@ -7,8 +7,8 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from plugins.radon_table import RadonTable
-from plugins.view_turn import ViewTurn
+from plugins.ball_light import BallLight
+from plugins.chord_means import ChordMeans
 from toolkit import (
     AlphaEstimator,
     Camera,
@@ -26,17 +26,18 @@ from toolkit import (
 class KnownShading(AlphaEstimator):
     """The ball is lit as in a sharp picture, wherever it is: nothing on it turns with it.
 
-    What a pixel of the streak sees is the mean of the disc's colours along the chord that passes
-    over it. Where the ball is seen along another ray than in the sharp picture, the disc shows
-    another part of it: this is followed to first order in the turn of the view.
+    What a pixel of the streak sees is the mean of the surface's light along the half circle that
+    its ray draws on the ball. Seen along another ray than in the sharp picture, the disc shows
+    another part of the ball: this is followed exactly for a matt one, and what the sharp picture
+    does not show is continued smoothly.
     Source: Caglioti & Giusti 2007, section 3.2.2. Deviations: the composited colours are fitted,
-    not alpha; the means come from a table made once for all directions; the view may turn.
+    not alpha; the view may turn.
     """
 
     ball: SharpBall
     """The ball seen sharply, in the light it moved in: --ball-image F, or --ball F."""
-    view_turn: ViewTurn | None = field(default=None, init=False, repr=False)
-    """From the view of the sharp picture, which is the shot's camera's too; `seen_through`."""
+    camera: Camera | None = field(default=None, init=False, repr=False)
+    """Of the shot, and of the sharp picture too; `seen_through`."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.ball, SharpBall):
@@ -58,9 +59,9 @@ class KnownShading(AlphaEstimator):
 
     def seen_through(self, camera: Camera) -> "KnownShading":
         """Give the estimator that knows how the camera's view of the ball turns along the path."""
-        _ = self.table  # made before it is copied, for every shot
         seen = copy.copy(self)
-        object.__setattr__(seen, "view_turn", ViewTurn.of(camera, self.ball.disc))
+        seen.__dict__.pop("chords", None)
+        object.__setattr__(seen, "camera", camera)
         return seen
 
     def observe(
@@ -71,35 +72,23 @@ class KnownShading(AlphaEstimator):
 
     def foreground(self, chord: Chord, appearance: Tensor | None) -> Tensor:
         """Give the mean colour along each chord, or along the part between start and stop."""
-        if _is_whole(chord):
-            return self.foreground_and_slope(chord)[0]
-        return self.table.part(*self._part(chord))
+        if chord.ray is None and _is_whole(chord):
+            return self.chords.whole(chord)[0]
+        return self.chords.part(chord)
 
     def foreground_and_slope(
         self, chord: Chord, appearance: Tensor | None = None
-    ) -> tuple[Tensor, Tensor]:
-        """Give the same and its derivative in the chord's offset, in closed form."""
-        if _is_whole(chord):
-            direction = chord.direction.to(chord.offset)
-            return self.table.whole(chord.offset, direction, self._turn(chord))
-        return self.foreground(chord, appearance), self.table.slope_of_part(*self._part(chord))
-
-    def _part(
-        self, chord: Chord
-    ) -> tuple[Tensor, Tensor, float | Tensor, float | Tensor, Tensor | None]:
-        direction = chord.direction.to(chord.offset)
-        return chord.offset, direction, chord.start, chord.stop, self._turn(chord)
-
-    def _turn(self, chord: Chord) -> Tensor | None:
-        """Say by how much the view of the ball has turned [..., 1, 3], where that is known."""
-        if self.view_turn is None or chord.place is None:
-            return None
-        return self.view_turn.at(chord.place.to(chord.offset))
+    ) -> tuple[Tensor, Tensor | None]:
+        """Give the same and its derivative in the chord's offset."""
+        if chord.ray is None and _is_whole(chord):
+            return self.chords.whole(chord)
+        return super().foreground_and_slope(chord, appearance)
 
     @cached_property
-    def table(self) -> RadonTable:
-        """Means along all chords, made at first need."""
-        return RadonTable.of(self.ball)
+    def chords(self) -> ChordMeans:
+        """Means along all chords; the ball's light is laid out at first need."""
+        light = BallLight.of(self.ball, self.camera)
+        return ChordMeans(light=light, camera=self.camera, disc=self.ball.disc)
 
 
 def _is_whole(chord: Chord) -> bool:

@@ -49,6 +49,8 @@ class Chord:
     start: float | Tensor = -1.0  # broadcast against offset
     stop: float | Tensor = 1.0
     place: Tensor | None = None  # [..., 1, 2] px of the ball in the whole picture, where known
+    ray: Tensor | None = None  # [..., S, 3] unit, along which each is seen, where known
+    ahead: Tensor | None = None  # [..., S, 3] unit, the motion's part across that ray, with it
 
 
 @dataclass(frozen=True, kw_only=True)

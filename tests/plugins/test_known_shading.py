@@ -5,9 +5,7 @@ import pytest
 import torch
 
 from plugins.known_shading import KnownShading
-from plugins.radon_table import DIRECTIONS
 from plugins.uniform import Uniform
-from plugins.view_turn import ViewTurn, change_of_look, to_angles
 from toolkit import Camera, Chord, ConfigError, LinearImage, NoiseModel, measure
 from toolkit.ball import Disc, SharpBall
 from toolkit.registry import build
@@ -18,11 +16,11 @@ from toolkit.synthetic import (
     benchmark_scene,
     flat_background,
     render_shot,
+    true_disc,
 )
 
 DISC = Disc(centre=(40.0, 30.0), semi_axes=(20.0, 20.0), angle=0.0, std=0.05)
 SHINY = LambertBall(colour=(0.8, 0.4, 0.1), light=(-0.9, -0.3, -0.4), highlight=0.5)
-MATT = LambertBall(colour=(0.8, 0.6, 0.1), light=(-0.5, -0.4, -0.75), ambient=0.4)
 NOISE = NoiseModel(
     read_variance=torch.full((1, 3), 1e-4), gain=torch.zeros(1, 3), density=torch.ones(3)
 )
@@ -155,7 +153,10 @@ def test_the_slope_is_the_derivative(estimator, is_part):
         for h in (step, -step)
     )
     assert value.shape == slope.shape == (300, 1, 3)
-    assert torch.allclose(slope, (above - below) / (2 * step), atol=1e-5)
+    error = (slope - (above - below) / (2 * step)).abs().amax((1, 2))
+    # light looked up between nodes has corners at them, which some differences straddle
+    assert (error < 1e-5).double().mean() > 0.99
+    assert error.max() < 1e-2
 
 
 def test_colours_stay_finite_at_the_rim_and_on_points(estimator):
@@ -190,9 +191,8 @@ def test_the_opposite_motion_sees_the_same_chords_backwards(estimator):
 
 
 def test_directions_are_continued_smoothly(estimator):
-    """Across a direction of the table neither value nor derivative jumps."""
-    at = 5 * 2 * math.pi / DIRECTIONS
-    h = 1e-4
+    """Neither value nor derivative jumps."""
+    at, h = 0.5, 1e-4
     direction = torch.tensor([at - 2 * h, at - h, at, at + h, at + 2 * h], dtype=torch.float64)
     chord = Chord(offset=torch.full((5, 1), 0.4, dtype=torch.float64), direction=direction[:, None])
     before, near, here, beyond, after = estimator.foreground(chord, None)[:, 0]
@@ -253,97 +253,20 @@ def streak(heading):
     )
 
 
-@pytest.mark.parametrize("turn", [(0.001, 0.0), (0.05, -0.03), (-0.06, -0.06)])
-def test_a_turned_view_shows_another_part_of_the_ball(turn):
-    places = torch.linspace(-1, 1, 101, dtype=torch.float64)
-    y, x = torch.meshgrid(places, places, indexing="ij")
-    x, y = (values[torch.hypot(x, y) < 1] for values in (x, y))
-    before, after = light_at(MATT, x, y), light_at(MATT, x, y, view=(*turn, 1.0))
-    grid = to_angles(torch.stack([x, y], dim=-1)).float()[None, None]
-    foretold = before
-    for part, image in zip(turn, change_of_look(sharp(MATT)), strict=True):
-        change = torch.nn.functional.grid_sample(image[None], grid, align_corners=True)
-        foretold = foretold + part * change[0, :, 0].mT
-    shift = (after - before).pow(2).mean().sqrt()
-    assert float((after - foretold).pow(2).mean().sqrt()) < 0.2 * float(shift)
-
-
-def test_turns_of_the_view_are_angles():
-    camera = Camera.centred(401, 301, 500.0, distortion=(-0.1, 0.02, 0.0, 0.0))
-    disc = Disc(centre=(230.0, 140.0), semi_axes=(10.0, 10.0), angle=0.0, std=0.05)
-    view_turn = ViewTurn.of(camera, disc)
-    place = torch.tensor([[230.0, 140.0], [300.0, 140.0], [230.0, 40.0]], dtype=torch.float64)
-    found = view_turn.at(place)
-    rays = camera.unproject(place)
-    sine = torch.linalg.cross(rays[:1].expand(3, 3), rays).norm(dim=-1)
-    assert found[:, :2].norm(dim=-1) == pytest.approx(sine.numpy(), abs=3e-4)
-    assert found[0, :2].tolist() == pytest.approx([0, 0], abs=3e-4)
-    assert float(found[1, 0]) > 0.1
-    assert float(found[2, 1]) < -0.1
-    assert found[:, 2] == pytest.approx(10 / 500, rel=0.02)
-
-
-def test_no_view_turns_where_the_lens_shows_nothing():
-    folded = Camera.centred(401, 301, 150.0, distortion=(-0.4, 0.0, 0.0, 0.0))
-    turns = ViewTurn.of(folded, DISC).turns
-    assert torch.isfinite(turns).all()
-    assert float(turns[0, :, 0, 0].abs().max()) == 0
-
-
-@pytest.mark.parametrize("away", [-80.0, 100.0])
-def test_streaks_far_from_the_sharp_ball_are_foretold(away):
-    """Brute force at 50 R, 40 px wide: the lamp stays while the view turns."""
-    radius, distance, heading = 0.05, 2.5, 0.4
-    along_x, along_y = math.cos(heading), math.sin(heading)
-    camera = Camera.centred(280, 200, 20 * math.sqrt(50**2 - 1))
-    scene = Scene(
-        camera=camera,
-        path=StraightPath(
-            start=(-0.3 * along_x, -0.3 * along_y, distance),
-            start_velocity=(30 * along_x, 30 * along_y, 0.0),
-        ),
-        ball_radius=radius,
-        exposure=0.02,
-        appearance=MATT,
-        background=flat_background(280, 200, (0.3, 0.3, 0.3)),
-        blur=0.0,
-    )
-    shot = render_shot(scene, step=0.4)
-    middle = torch.tensor([139.5, 99.5], dtype=torch.float64)
-    step = torch.tensor([along_x, along_y], dtype=torch.float64)
-    rows, columns = shot.alpha.shape
-    y, x = torch.meshgrid(torch.arange(rows), torch.arange(columns), indexing="ij")
-    seen_from = torch.stack([x, y], dim=-1) - middle
-    along, across = seen_from @ step, seen_from @ torch.stack([-step[1], step[0]])
-    seen = ((along - away / 2).abs() < 3) & (across.abs() < 18.5)
-    disc = Disc(
-        centre=tuple((middle - away / 2 * step).tolist()), semi_axes=(20, 20), angle=0, std=0
-    )
-    ray = camera.unproject(torch.tensor(disc.centre, dtype=torch.float64))
-    ball = sharp(MATT, disc=disc, view=tuple(ray.tolist()), radius=1 / 50)
-    chord = Chord(
-        offset=across[seen] / 20,
-        direction=torch.tensor([heading]),
-        place=(middle + away / 2 * step)[None],
-    )
-    light = (shot.clean_image - (1 - shot.alpha) * 0.3)[:, seen] / shot.alpha[seen]
-    blind = KnownShading(ball=ball)
-    errors = [
-        float((one.foreground(chord, None).mT - light).abs().max())
-        for one in (blind, blind.seen_through(camera))
-    ]
-    assert errors[0] > 0.015
-    assert errors[1] < 0.15 * errors[0]
-
-
-def test_the_camera_is_no_option_and_the_table_is_kept(estimator):
-    seen = estimator.seen_through(Camera.centred(80, 60, 400.0))
+def test_the_camera_is_no_option_and_the_light_is_laid_out_once(estimator):
+    camera = Camera.centred(80, 60, 400.0)
+    seen = estimator.seen_through(camera)
     assert KnownShading.option_names() == ("ball",)
-    assert seen.table is estimator.table
-    assert estimator.view_turn is None
+    assert estimator.camera is None
+    assert seen.camera is camera
+    assert seen.chords is seen.chords
+    assert seen.chords is not estimator.chords
     offset, direction, _, _ = random_chords()
     chord = Chord(offset=offset, direction=direction)
-    assert torch.equal(seen.foreground(chord, None), estimator.foreground(chord, None))
+    # from 20 radii the outermost three degrees are hidden
+    assert torch.allclose(
+        seen.foreground(chord, None), estimator.foreground(chord, None), atol=0.04
+    )
 
 
 @pytest.mark.parametrize("is_part", [False, True])
@@ -362,17 +285,21 @@ def test_places_are_seen_alike_alone_and_together(estimator, is_part):
         assert torch.allclose(value[i], seen.foreground(one, None), atol=1e-6)
     step = 1e-6
     above, below = (seen.foreground(replace(chord, offset=offset + h), None) for h in (step, -step))
-    assert torch.allclose(slope, (above - below) / (2 * step), atol=1e-5)
+    error = (slope - (above - below) / (2 * step)).abs().amax((1, 2))
+    assert (error < 1e-5).double().mean() > 0.9
 
 
 def test_a_shaded_ball_is_measured_where_one_colour_misses_it():
-    """At 200 R, so that the disc looks the same all along the path."""
+    """At 200 R, where one colour for all of it is told from its shade at once."""
     scene = benchmark_scene(width_px=60, length_widths=4, distance_R=200, seed=1)
     scene = replace(scene, appearance=SHINY)
     shot = render_shot(scene, seed=1, step=0.4)
     mean = SHINY(torch.tensor([[0.0, 0.0, -1.0]]), 0.0)[0].tolist()
     errors, told = {}, {}
-    for one in (KnownShading(ball=sharp(SHINY)), Uniform(colour=tuple(mean))):
+    disc = true_disc(scene, shot.position.tolist())
+    ray = scene.camera.unproject(torch.tensor(disc.centre, dtype=torch.float64))
+    ball = sharp(SHINY, disc=disc, view=tuple(ray.tolist()), radius=1 / 200)
+    for one in (KnownShading(ball=ball), Uniform(colour=tuple(mean))):
         found = measure(
             shot.image,
             shot.background,
@@ -391,16 +318,13 @@ def test_a_shaded_ball_is_measured_where_one_colour_misses_it():
     assert errors["known-shading"][1] < 1.2
     assert errors["uniform"][1] > errors["known-shading"][1] + 0.05
     assert {"shade-fitted", "streak-misfit"} <= told["uniform"]
+    assert not {"shade-fitted", "streak-misfit"} & told["known-shading"]
 
 
 def test_no_chords_have_no_colours(estimator):
     chord = Chord(offset=torch.zeros(0, 7), direction=torch.zeros(0, 1))
     value, slope = estimator.foreground_and_slope(chord)
     assert value.shape == slope.shape == (0, 7, 3)
-
-
-def test_the_table_is_made_once(estimator):
-    assert estimator.table is estimator.table
 
 
 def test_observe_hands_colours_on_and_adds_both_noises(estimator):

@@ -112,14 +112,16 @@ def compare(
     # derivatives hold the likeliest background
     likeliest = pixels.ground + empty * rest * residual * precision
     contrast = ball.colour - likeliest * gain - offset
-    J_offset = None if ball.slope is None else model.J_offset(x, pixels, covered)
+    J_chord = None
+    if ball.slopes is not None:
+        J_chord = model.J_chord(x, pixels, covered, len(ball.slopes))
     channels, shared = len(pixels.signal), model.path.size + 1 + model.unknowns
     gradient = torch.zeros(len(x), dtype=torch.float64)
     information = torch.zeros(len(x), len(x), dtype=torch.float64)
     whitened, columns = [], []
     for q in range(channels):
         at = torch.tensor([*range(shared), shared + q, shared + channels + q])
-        J = _channel_J(covered, ball, J_offset, contrast[q], likeliest[q], root[q], q)
+        J = _channel_J(covered, ball, J_chord, contrast[q], likeliest[q], root[q], q)
         information[at[:, None], at] += J @ J.mT
         gradient[at] -= J @ (residual[q] * root[q])
         whitened.append(J)
@@ -144,7 +146,7 @@ def compare(
 def _channel_J(
     covered: Coverage,
     ball: BallColours,
-    J_offset: Tensor | None,
+    J_chord: Tensor | None,
     contrast: Tensor,
     ground: Tensor,
     root: Tensor,
@@ -158,8 +160,11 @@ def _channel_J(
     unknowns = 0 if ball.design is None else ball.design.shape[1]
     J = torch.empty(size + unknowns + 2, len(alpha), dtype=torch.float64)
     torch.mul(covered.J, contrast * root, out=J[:size])
-    if J_offset is not None and ball.slope is not None:
-        J[: size - 1] += (alpha * ball.slope[q] * root) * J_offset
+    if J_chord is not None and ball.slopes is not None:
+        for slope, J_number in zip(ball.slopes[:, q], J_chord, strict=True):
+            J[: size - 1] += (alpha * slope * root) * J_number
+    if ball.by_spread is not None:
+        J[size - 1] += alpha * ball.by_spread[q] * root
     if ball.design is not None:
         torch.mul(ball.design[q], alpha * root, out=J[size:-2])
     torch.mul(1 - alpha, root, out=J[-1])

@@ -12,9 +12,11 @@ from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator
 from toolkit.camera import Camera
+from toolkit.sweep.chord_table import STEEPEST
 from toolkit.sweep.colours import (
     NARROW,
     BallColours,
+    Sight,
     count_channels,
     is_plain,
     lane_colours,
@@ -76,13 +78,15 @@ class SweepModel:
         delay = self.row_delay * (pixels.place[:, 1] - self.middle_row)
         return delay - 0.5, delay + 0.5
 
+    def _wide(self, x: Tensor, pixels: StreakPixels) -> float:
+        """Give the variance by which pixels spread: squares of them blur by their own area."""
+        return float(x[self.path.size]) + pixels.area_variance - PIXEL_VARIANCE
+
     def opacity(self, x: Tensor, pixels: StreakPixels) -> "Coverage":
         """Give the opacity of all pixels and its derivatives in the path and the spread."""
-        shape, spread, _, _, _ = self.split(x)
-        arcs = self.path.arcs(shape)
+        arcs = self.path.arcs(self.split(x)[0])
         start, stop = self.exposure_of(pixels)
-        # the spread is that of single pixels; squares of them blur by their own area
-        wide = float(spread) + pixels.area_variance - PIXEL_VARIANCE
+        wide = self._wide(x, pixels)
         parts: list[tuple[ArcOpacity, Tensor, int]] = []
         for number, (low, high) in enumerate(arcs.limits(start, stop)):
             arc, J_arc = arcs.coefficients[number], arcs.J[number]
@@ -105,15 +109,30 @@ class SweepModel:
             return plain_colours(self.estimator, appearance)
         if self.is_laned:
             return lane_colours(self.estimator, appearance, covered.passage, self.ball_radius)
-        return seen_colours(
-            self.estimator,
-            appearance,
-            covered.passage,
-            self.path.arcs(shape),
-            self.exposure_of(pixels),
-            self.camera,
-            self.ball_radius,
+        sight = Sight(
+            passage=covered.passage,
+            arcs=self.path.arcs(shape),
+            exposure=self.exposure_of(pixels),
+            spread=self._wide(x, pixels),
+            blur=self._rim_blur(x, pixels, covered),
+            camera=self.camera,
+            ball_radius=self.ball_radius,
         )
+        return seen_colours(self.estimator, appearance, sight)
+
+    def _rim_blur(self, x: Tensor, pixels: StreakPixels, covered: "Coverage") -> Tensor:
+        """Give the standard deviation of the passage's room over lens and pixel [N], m^2."""
+        shape = self.split(x)[0]
+        c0, c1, c2 = self.path.arcs(shape).coefficients[covered.piece].permute(1, 2, 0)
+        t, rays = covered.passage.instant, pixels.rays
+        centre = c0 + t * (c1 + t * c2)
+        near = 2 * (centre * rays.unit).sum(0)
+        right, down = (near * (centre * side).sum(0) for side in (rays.right, rays.down))
+        variance = self._wide(x, pixels)
+        size = (rays.right**2 + rays.down**2).sum(0).mean() / 2
+        bend = variance * (centre * centre).sum(0) * size
+        room: Tensor = (variance * (right**2 + down**2) + 2 * bend**2).sqrt()
+        return room
 
     def opacity_slope(self, x: Tensor, pixels: StreakPixels, covered: "Coverage") -> Tensor:
         """Give the change of the opacity from pixel to pixel, to the right and downwards [2, N].
@@ -130,19 +149,32 @@ class SweepModel:
             [(torch.linalg.cross(rays.unit, side, dim=0) * turn).sum(0) for side in sides]
         )
 
-    def J_offset(self, x: Tensor, pixels: StreakPixels, covered: "Coverage") -> Tensor:
-        """Give the derivative of each covered pixel's chord offset in the path [K, M]."""
+    def J_chord(self, x: Tensor, pixels: StreakPixels, covered: "Coverage", count: int) -> Tensor:
+        """Give the derivatives in the path of what tells each covered pixel's chord [count, K, M].
+
+        In this order: its offset, the instant when the ball is nearest, the logarithm of half the
+        time that the ball takes to cross it.
+        """
         arcs, passage, piece = self.path.arcs(self.split(x)[0]), covered.passage, covered.piece
-        u, t = pixels.rays.unit, passage.instant
+        u, t, A = pixels.rays.unit, passage.instant, passage.stiffness
         c0, c1, c2 = arcs.coefficients[piece].permute(1, 2, 0)
-        centre = c0 + t * (c1 + t * c2)
-        away = centre - (centre * u).sum(0) * u
+        centre, velocity = c0 + t * (c1 + t * c2), c1 + 2 * t * c2
+        away, across, bend = (v - (v * u).sum(0) * u for v in (centre, velocity, 2 * c2))
         distance = (away * away).sum(0).sqrt().clamp_min(NARROW * self.ball_radius)
         pull = away * (passage.side / (distance * self.ball_radius))
-        J_arc = torch.cat([pull, t * pull, t * t * pull])
+        rows = [torch.cat([pull, t * pull, t * t * pull])]
+        if count > 1:
+            # of C' and C, and for the stiffness of C'' too, as they enter there
+            by_C, by_C1 = -across / A, -away / A
+            rows.append(torch.cat([by_C, t * by_C + by_C1, t * t * by_C + 2 * t * by_C1]))
+            room = passage.room.clamp_min(STEEPEST**2 * self.ball_radius**2)
+            by_C, by_C1, by_C2 = -away / room - bend / (2 * A), -across / A, -away / (2 * A)
+            once = t * by_C + by_C1
+            rows.append(torch.cat([by_C, once, t * (once + by_C1) + 2 * by_C2]))
+        J_arc = torch.stack(rows[:count])
         if len(arcs.J) == 1:
             return arcs.J[0].mT @ J_arc
-        return torch.einsum("mak,am->km", arcs.J[piece], J_arc)
+        return torch.einsum("mak,dam->dkm", arcs.J[piece], J_arc)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

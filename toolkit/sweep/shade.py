@@ -54,22 +54,30 @@ class Shaded(AlphaEstimator):
 
     def foreground(self, chord: Chord, appearance: Tensor | None) -> Tensor:
         """Give the other's colour and the shade on top of it."""
-        return self.foreground_and_slope(chord, appearance)[0]
+        colour = self.estimator.foreground(chord, self._below(appearance))
+        return colour if appearance is None else colour + self._shade(chord, colour, appearance)[0]
 
     def foreground_and_slope(
         self, chord: Chord, appearance: Tensor | None = None
     ) -> tuple[Tensor, Tensor | None]:
         """Give the same and its derivative in the chord's offset."""
-        known = self.estimator.unknowns()
-        looks = None if appearance is None or not known else appearance[:known]
-        colour, slope = self.estimator.foreground_and_slope(chord, looks)
+        colour, slope = self.estimator.foreground_and_slope(chord, self._below(appearance))
         if appearance is None:
             return colour, slope
-        s = chord.offset[..., None].to(colour)
-        change = torch.zeros_like(colour)
-        rows = appearance[known:].to(colour).reshape(len(self.powers), self.channels)
-        for power, row in zip(self.powers, rows, strict=True):
+        shade, change = self._shade(chord, colour, appearance)
+        return colour + shade, change if slope is None else slope + change
+
+    def _below(self, appearance: Tensor | None) -> Tensor | None:
+        known = self.estimator.unknowns()
+        return None if appearance is None or not known else appearance[:known]
+
+    def _shade(self, chord: Chord, like: Tensor, appearance: Tensor) -> tuple[Tensor, Tensor]:
+        """Give the shade alone and its derivative in the chord's offset."""
+        s = chord.offset[..., None].to(like)
+        shade, change = torch.zeros_like(like), torch.zeros_like(like)
+        rows = appearance[self.estimator.unknowns() :].to(like)
+        for power, row in zip(self.powers, rows.reshape(len(self.powers), -1), strict=True):
             even = 1 / (power + 1) if power % 2 == 0 else 0.0
-            colour = colour + row * (s**power - even)
+            shade = shade + row * (s**power - even)
             change = change + row * power * s ** (power - 1)
-        return colour, change if slope is None else slope + change
+        return shade, change

@@ -209,3 +209,27 @@ def test_the_likeliest_motion_is_the_true_one_but_for_noise_as_stated(streak, in
     assert z.mean().abs() < 3 / SEEDS**0.5, f"{name} is off by {float(z.mean()):.2f}"
     spread = float(z.square().mean().sqrt())
     assert 0.75 < spread < 1.3, f"{name} spreads by {spread:.2f}"
+
+
+@pytest.mark.parametrize("path", [STRAIGHT, PARABOLA], ids=["straight", "parabola"])
+def test_chords_change_with_the_path_as_their_derivatives_say(streak, differences, path):
+    """Offset, instant and half the time that the ball takes to cross a ray."""
+    seen = streak(length_widths=2.0, distance_R=15.0, tilt=0.5)
+    model, pixels, x = seen.model(path), seen.pixels(), seen.truth(path)
+    k = path.size
+    inside = model.opacity(x, pixels).passage.room > 0.2 * model.ball_radius**2
+
+    def told(shape):
+        passage = model.opacity(torch.cat([shape, x[k:]]), pixels).passage
+        room, side = passage.room[inside], passage.side[inside]
+        offset = (1 - room / model.ball_radius**2).clamp_min(0).sqrt() * side
+        half = (room / passage.stiffness[inside]).log() / 2
+        return torch.cat([offset, passage.instant[inside], half])
+
+    found = model.J_chord(x, pixels, model.opacity(x, pixels), 3)[..., inside]
+    expected = differences(told, x[:k], torch.full((k,), 1e-6)).reshape(3, -1, k).mT
+    # within 0.05 R of the middle the side of a ray is not told apart
+    is_aside = told(x[:k])[: expected.shape[-1]].abs() > 0.1
+    for own, other in zip(found, expected, strict=True):
+        error = (own - other)[:, is_aside].abs().max()
+        assert error < 0.02 * other[:, is_aside].abs().max()
