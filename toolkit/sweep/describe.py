@@ -32,6 +32,7 @@ from toolkit.result import (
 )
 from toolkit.sweep.doubt import motion_of
 from toolkit.sweep.fit import SweepFit
+from toolkit.sweep.linearity import Linearity
 from toolkit.sweep.misfit import Misfit
 from toolkit.sweep.opacity import PIXEL_VARIANCE
 from toolkit.sweep.shade import Shaded
@@ -50,6 +51,7 @@ class SweepResult:
 
     fit: SweepFit
     misfit: Misfit
+    linearity: Linearity
     uncertainty: Uncertainty
     sign: Sign | None = None  # where the readout tells something about it
     still_below: SpeedLimit | None = None  # the ball may have stood still
@@ -192,9 +194,21 @@ def _cautions(
             "pattern, a changed background, a wrong colour or response, compression); "
             "the uncertainties are widened",
         ),
+        (
+            found.linearity.is_doubted,
+            "response-doubted",
+            "ball and background mix as if light had been decoded with an exponent "
+            f"{abs(found.linearity.found):.0%} too {_size(found.linearity.found)}; check the "
+            "response, or take RAW; the ball's looks or another light may show like this too; "
+            "the uncertainties are widened by what it would change",
+        ),
         light_check(drift),
     ]
     return due(checks)
+
+
+def _size(change: float) -> str:
+    return "large" if change > 0 else "small"
 
 
 def _may_turn_back(motion: Motion) -> bool:

@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass, replace
 
 import torch
-from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator
 from toolkit.camera import Camera
@@ -15,22 +14,18 @@ from toolkit.sweep.describe import SweepResult
 from toolkit.sweep.doubt import motion_of, sweep_uncertainty
 from toolkit.sweep.fit import SweepFit, outline
 from toolkit.sweep.likelihood import compare
+from toolkit.sweep.linearity import judge_linearity, response_change
 from toolkit.sweep.misfit import Misfit, look_for_misfit
 from toolkit.sweep.model import SweepModel
 from toolkit.sweep.paths import STRAIGHT
 from toolkit.sweep.pixels import Frame
 from toolkit.sweep.still import looks_still, speed_limit
-from toolkit.types import LinearImage
 from toolkit.view import StreakView
 
-ASSUMED_EXPONENT_STD = 0.05
-"""Standard deviation of the exponent of a response that was assumed from the kind of file."""
-NAMED_EXPONENT_STD = 0.02
-"""The same of one that somebody named: real cameras follow no curve exactly."""
 UNEXPLAINED = 10.0
 """Squared misfit over noise from which the exact image is not that of the ball."""
 STRAYED = 0.5
-"""Half widths by which the likeliest path may leave the one told by contours."""
+"""Half widths by which the likeliest path may leave the one that some profiles told at first."""
 DECIDED = 0.99
 """Probability from which the sign of the motion counts as decided."""
 
@@ -99,18 +94,19 @@ def refine(
         )
     misfit = look_for_misfit(fit)
     _check_explained(fit, misfit, start)
-    change = _response_change(view, estimator, frame, fit)
+    linearity = judge_linearity(view, frame, fit, misfit.factor)
     uncertainty = sweep_uncertainty(
         fit,
         misfit,
         finer=finer_shade(fit, frame),
         ball_radius_std=ball_radius_std,
         exposure_std_share=exposure_std_share,
-        response_change=change,
+        response_change=response_change(view, estimator, frame, fit, linearity.std),
     )
     return SweepResult(
         fit=fit,
         misfit=misfit,
+        linearity=linearity,
         uncertainty=uncertainty,
         sign=sign,
         still_below=speed_limit(fit, misfit) if looks_still(fit, misfit) else None,
@@ -130,7 +126,7 @@ def _check_explained(fit: SweepFit, misfit: Misfit, start: Start) -> None:
     strayed = strays(fit, start)
     if strayed > STRAYED:
         raise StreakError(
-            f"the exact streak runs away from its contours, by {strayed:.1f} half widths; "
+            f"the exact streak runs away from its profiles, by {strayed:.1f} half widths; "
             "something else than the ball may lie beside it"
         )
 
@@ -181,29 +177,3 @@ def _delayed(start: Start, model: SweepModel, sign: float) -> Start:
     if last < first:
         return replace(start, span=(last, first), path=start.path.flip(0))
     return replace(start, span=(first, last))
-
-
-def _response_change(
-    view: StreakView, estimator: AlphaEstimator, frame: Frame, fit: SweepFit
-) -> Tensor | None:
-    """Give how the pixels change [Q, N] for one standard deviation of the response's exponent."""
-    std = _exponent_std(view.shot)
-    if std == 0:
-        return None
-    shot, empty = (_with_exponent(picture, 1 + std) for picture in (view.shot, view.background))
-    other = estimator.observe(shot, empty, view.noise)
-    x, y = (fit.pixels.place - torch.tensor(frame.corner)).long().mT
-    signal, ground = other.signal[0][:, y, x], other.ground[0][:, y, x]
-    rest = 1 - fit.seen.coverage.alpha
-    return (signal - fit.pixels.signal) - rest * (ground - fit.pixels.ground)
-
-
-def _exponent_std(shot: LinearImage) -> float:
-    if shot.response_is_assumed:
-        return ASSUMED_EXPONENT_STD
-    return 0.0 if shot.response == "linear" else NAMED_EXPONENT_STD
-
-
-def _with_exponent(picture: LinearImage, exponent: float) -> LinearImage:
-    light = picture.recorded
-    return picture.remade(light.clamp_min(0) ** exponent)

@@ -8,6 +8,7 @@ from plugins.uniform import Uniform
 from toolkit.motion import SPEED
 from toolkit.sweep.describe import SweepResult, describe_sweep
 from toolkit.sweep.doubt import J_state, sweep_uncertainty
+from toolkit.sweep.linearity import Linearity
 from toolkit.sweep.misfit import look_for_misfit
 from toolkit.sweep.paths import PARABOLA
 from toolkit.sweep.still import SpeedLimit
@@ -28,7 +29,8 @@ def found(seen):
     uncertainty = sweep_uncertainty(
         fit, misfit, finer=None, ball_radius_std=0.0, exposure_std_share=0.0, response_change=None
     )
-    return SweepResult(fit=fit, misfit=misfit, uncertainty=uncertainty)
+    linear = Linearity(known=0.0)
+    return SweepResult(fit=fit, misfit=misfit, linearity=linear, uncertainty=uncertainty)
 
 
 def described(found, exposure=EXPOSURE, drift=LIGHT, profiles=None):
@@ -155,3 +157,13 @@ def test_a_ball_that_nearly_stops_on_its_way_may_have_turned_back(found):
     falling = torch.cat([first, first, first + 2 * way, found.fit.parameters[6:]])
     fit = replace(found.fit, model=replace(found.fit.model, path=PARABOLA), parameters=falling)
     assert "may-turn-back" in codes(described(replace(found, fit=fit)))
+
+
+@pytest.mark.parametrize(("exponent", "size"), [(0.05, "5% too large"), (-0.04, "4% too small")])
+def test_a_response_that_the_streak_contradicts_is_told(found, exponent, size):
+    doubted = Linearity(known=0.0, found=exponent, found_std=0.01)
+    result = described(replace(found, linearity=doubted))
+    (caution,) = (one for one in result.warnings if one.code == "response-doubted")
+    assert size in caution.message
+    unsure = Linearity(known=0.0, found=exponent, found_std=0.02)
+    assert "response-doubted" not in codes(described(replace(found, linearity=unsure)))

@@ -128,10 +128,10 @@ def test_a_streak_that_no_motion_explains_is_refused(plain, monkeypatch):
         refined(plain)
 
 
-def test_a_path_that_leaves_its_contours_is_refused(plain):
-    """Contours half a width aside, which the search leaves for the streak."""
+def test_a_path_that_leaves_its_profiles_is_refused(plain):
+    """Profiles half a width aside, which the search leaves for the streak."""
     aside = plain.points() + torch.tensor([0.0, 0.9 * plain.scene.ball_radius, 0.0])
-    with pytest.raises(StreakError, match=r"runs away from its contours, by 0\.[789]"):
+    with pytest.raises(StreakError, match=r"runs away from its profiles, by 0\.[789]"):
         refined(plain, start=plain.start(path=aside, is_close=True))
     found = refined(plain, start=plain.start(path=aside))
     assert found.fit.converged

@@ -1,0 +1,126 @@
+"""Whether light was decoded rightly: what the response is known by, and what the streak says of it.
+
+Light that was decoded with a wrong exponent no longer mixes: before a streak, ball and background
+do not add up. Part of that looks like another motion; the rest is left over once all else is
+fitted, and tells the exponent. [derived]
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from toolkit.alpha import AlphaEstimator
+from toolkit.sweep.fit import SweepFit
+from toolkit.sweep.pixels import Frame
+from toolkit.types import LinearImage
+from toolkit.view import StreakView
+
+ASSUMED_STD = 0.05
+"""Standard deviation of the exponent of a response that was assumed from the kind of file."""
+NAMED_STD = 0.02
+"""The same of one that somebody named: real cameras follow no curve exactly."""
+CERTAIN = 3.5
+"""Standard deviations by which noise does not move the exponent found."""
+COLOURS = 3
+"""Channels from which a signal is light, whose exponent can be wrong."""
+DARKEST = 1e-3
+"""Of white: what is below counts for as much, since its logarithm is none."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Linearity:
+    """By how much the exponent of the light may be off."""
+
+    known: float  # standard deviation that is granted whatever the streak says; 0 for linear light
+    found: float = 0.0  # by which the streak would have light's exponent larger than 1
+    found_std: float = math.inf
+
+    @property
+    def is_doubted(self) -> bool:
+        """Whether the streak asks for more than is granted and noise can do."""
+        return abs(self.found) > CERTAIN * math.hypot(self.known, self.found_std)
+
+    @property
+    def std(self) -> float:
+        """Standard deviation to reckon with."""
+        return max(self.known, abs(self.found)) if self.is_doubted else self.known
+
+
+def judge_linearity(view: StreakView, frame: Frame, fit: SweepFit, factor: float) -> Linearity:
+    """Find the exponent that the streak asks for beside all that was fitted.
+
+    Args:
+        view: the streak's surroundings.
+        frame: the same as the fit's pixels were taken from.
+        fit: the most likely motion.
+        factor: by which its misfit exceeds noise.
+    """
+    known = _known_std(view.shot)
+    if fit.model.channels < COLOURS:
+        return Linearity(known=known)
+    change = _bend(view, frame, fit)
+    seen = fit.seen
+    shared = seen.answer(change)
+    own = float((change * change).sum())
+    for J, at, row in zip(seen.J, seen.columns, change, strict=True):
+        own -= float(shared[at] @ (J @ row))
+    if not own > 0:
+        return Linearity(known=known)
+    # what is left of the gradient is that of the search's last step
+    pull = float((change * seen.residual).sum() + shared @ seen.gradient)
+    return Linearity(known=known, found=pull / own, found_std=math.sqrt(factor / own))
+
+
+def _bend(view: StreakView, frame: Frame, fit: SweepFit) -> Tensor:
+    """Give the change of the whitened residual [Q, N] for one more in the light's exponent.
+
+    The background is smoothed without each pixel's own light: noise shared with the residual would
+    tell of an exponent wherever the noise itself is known a little wrong.
+    """
+    pixels, alpha = fit.pixels, fit.seen.coverage.alpha
+    column, row = _places(frame, fit)
+    ground = view.smooth_ground[0][:, row, column].double()
+    ball = fit.model.colours(fit.parameters, pixels, fit.seen.coverage).colour
+    both = alpha * ball + (1 - alpha) * ground
+    change = _power_slope(both) - alpha * _power_slope(ball) - (1 - alpha) * _power_slope(ground)
+    rest = 1 - alpha
+    return change / (pixels.shot_variance + rest**2 * pixels.ground_variance).sqrt()
+
+
+def _power_slope(light: Tensor) -> Tensor:
+    """Give the derivative of a power of light in its exponent, at 1."""
+    light = light.clamp_min(0)
+    return light * light.clamp_min(DARKEST).log()
+
+
+def response_change(
+    view: StreakView, estimator: AlphaEstimator, frame: Frame, fit: SweepFit, std: float
+) -> Tensor | None:
+    """Give how the pixels change [Q, N] for one standard deviation of the exponent; None for 0."""
+    if std == 0:
+        return None
+    shot, empty = (_with_exponent(picture, 1 + std) for picture in (view.shot, view.background))
+    other = estimator.observe(shot, empty, view.noise)
+    column, row = _places(frame, fit)
+    signal, ground = other.signal[0][:, row, column], other.ground[0][:, row, column]
+    rest = 1 - fit.seen.coverage.alpha
+    return (signal - fit.pixels.signal) - rest * (ground - fit.pixels.ground)
+
+
+def _places(frame: Frame, fit: SweepFit) -> tuple[Tensor, Tensor]:
+    """Column and row of each pixel in the window."""
+    column, row = (fit.pixels.place - torch.tensor(frame.corner)).long().mT
+    return column, row
+
+
+def _known_std(shot: LinearImage) -> float:
+    if shot.response_is_assumed:
+        return ASSUMED_STD
+    return 0.0 if shot.response == "linear" else NAMED_STD
+
+
+def _with_exponent(picture: LinearImage, exponent: float) -> LinearImage:
+    light = picture.recorded
+    return picture.remade(light.clamp_min(0) ** exponent)
