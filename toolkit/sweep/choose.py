@@ -22,6 +22,8 @@ CLOSE = 0.15
 away. Depth and pace along a start are too rough to ask for a bend."""
 PIECES = (2, 3, 4, 6, 8, 12)
 """Of the splines tried."""
+STEPS_OF_RICHER = 15
+"""In which a richer path must settle, which starts from the best of a simpler kind."""
 SHORTEST_BEND = 2.0
 """Ball radii of travel from which a bend of the path is looked for."""
 PROLONGED = 0.1
@@ -94,7 +96,9 @@ def most_likely_motion(frame: Frame, model: SweepModel, start: Start) -> SweepFi
         return fit
     fit = _shaded_if_asked(fit, frame, fine)
     while (richer := _asked_for(fit)) is not None:
-        trial = fit_sweep(richer[0], richer[1], frame, side=fine, doubt=2.0 * fine)
+        trial = fit_sweep(*richer, frame, side=fine, doubt=2.0 * fine, most_steps=STEPS_OF_RICHER)
+        if not trial.converged:
+            break
         if strays(trial, start) > STRAY:
             break
         if _gain(fit, trial) < EVIDENCE * (trial.model.path.size - fit.model.path.size):

@@ -65,6 +65,7 @@ def fit_sweep(
     *,
     side: int = 1,
     doubt: float = 0.0,
+    most_steps: int | None = None,
 ) -> SweepFit:
     """Find the most likely parameters, all pixels compared or squares of them.
 
@@ -74,6 +75,7 @@ def fit_sweep(
         frame: the window about the streak.
         side: of the squares, px.
         doubt: px by which the start may be off.
+        most_steps: after which the search gives up.
     """
     path_px, half_width = outline(model, start)
     side = max(side, _least_side(path_px, half_width))
@@ -83,16 +85,24 @@ def fit_sweep(
     slope = model.opacity_slope(start, pixels, covered)
     pixels = pixels.behind_lens(slope, float(start[model.path.size]))
     seen = compare(model, start, pixels, covered=covered)
-    return search(model, start, pixels, seen, tolerance=SETTLED if side == 1 else ROUGHLY)
+    tolerance = SETTLED if side == 1 else ROUGHLY
+    return search(model, start, pixels, seen, tolerance=tolerance, most_steps=most_steps)
 
 
 def search(
-    model: SweepModel, start: Tensor, pixels: StreakPixels, seen: Comparison, *, tolerance: float
+    model: SweepModel,
+    start: Tensor,
+    pixels: StreakPixels,
+    seen: Comparison,
+    *,
+    tolerance: float,
+    most_steps: int | None = None,
 ) -> SweepFit:
     """Search by damped Gauss-Newton steps from what is seen until one promises hardly any gain."""
     x, damping = start, FIRST_DAMPING
     converged, iterations, k = False, 0, model.path.size
-    while iterations < MAX_STEPS:
+    most_steps = MAX_STEPS if most_steps is None else most_steps
+    while iterations < most_steps:
         step, gain = seen.step(damping)
         least, most = SMALLEST_SPREAD - float(x[k]), LARGEST_SPREAD - float(x[k])
         if not least <= float(step[k]) <= most:
