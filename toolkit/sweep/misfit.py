@@ -6,7 +6,7 @@ not hold: a pattern on the ball, a changed background, a wrong response.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -25,6 +25,8 @@ COVERED = 1e-4
 """Opacity from which a pixel counts as covered."""
 FEWEST = 6
 """Patches from which there is something to be said."""
+FEWEST_COARSE = 12
+"""The same of larger ones, of which what is fitted takes a larger share."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,10 +69,7 @@ def look_for_misfit(fit: SweepFit) -> Misfit:
     index = (seen.coverage.alpha > COVERED).nonzero()[:, 0]
     score, sure = seen.pull[index], seen.hold[index]
     place, passage = pixels.place[index], seen.coverage.passage
-    cell = (place / PATCH).floor().long()
-    cell = cell - cell.amin(0)
-    number = cell[:, 1] * (int(cell[:, 0].max()) + 1) + cell[:, 0]
-    sigma, used, inverse = _patch_sigmas(number, score, sure)
+    sigma, used, inverse = _patch_sigmas(_cell(place, PATCH), score, sure)
     offset = (1 - passage.room[index] / fit.model.ball_radius**2).clamp(0, 1.2).sqrt()
     offset = offset * passage.side[index]
     lane = ((offset + 1.1) / 2.2 * LANES).long().clamp(0, LANES - 1)
@@ -78,8 +77,8 @@ def look_for_misfit(fit: SweepFit) -> Misfit:
     patches = _mean_square(sigma)
     by_lane = _mean_square(lanes)
     single = mean_square(seen)
-    is_patchy = patches > 1 + CHANCE * math.sqrt(2 / max(len(sigma), 1))
-    is_common = by_lane > 1 + CHANCE * math.sqrt(2 / max(len(lanes), 1))
+    is_patchy = _is_beyond_chance(patches, len(sigma))
+    is_common = _is_beyond_chance(by_lane, len(lanes))
     factor = max(single, 1.0)
     if is_patchy:
         factor = max(factor, patches)
@@ -100,6 +99,36 @@ def look_for_misfit(fit: SweepFit) -> Misfit:
         is_patchy=is_patchy,
         is_common=is_common,
     )
+
+
+def with_coarse_misfit(misfit: Misfit, fit: SweepFit) -> Misfit:
+    """Widen by what larger patches miss too: a pattern on the ball is alike far beyond 8 px.
+
+    The more of the streak misses alike, the less it averages out, and the further the motion may be
+    off; patches twice as wide show it until too few are left.
+    """
+    index = (fit.seen.coverage.alpha > COVERED).nonzero()[:, 0]
+    score, sure = fit.seen.pull[index], fit.seen.hold[index]
+    side, factor, is_patchy = 2 * PATCH, misfit.factor, misfit.is_patchy
+    while True:
+        sigma, _, _ = _patch_sigmas(_cell(fit.pixels.place[index], side), score, sure)
+        if len(sigma) < FEWEST_COARSE:
+            return replace(misfit, factor=factor, is_patchy=is_patchy)
+        excess = _mean_square(sigma)
+        if _is_beyond_chance(excess, len(sigma)):
+            factor, is_patchy = max(factor, excess), True
+        side *= 2
+
+
+def _cell(place: Tensor, side: int) -> Tensor:
+    """Number the squares that hold the places [N, 2] px."""
+    cell = (place / side).floor().long()
+    cell = cell - cell.amin(0)
+    return cell[:, 1] * (int(cell[:, 0].max()) + 1) + cell[:, 0]
+
+
+def _is_beyond_chance(mean_square: float, count: int) -> bool:
+    return mean_square > 1 + CHANCE * math.sqrt(2 / max(count, 1))
 
 
 def _patch_sigmas(number: Tensor, score: Tensor, sure: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -15,7 +15,7 @@ from toolkit.sweep.doubt import motion_of, sweep_uncertainty
 from toolkit.sweep.fit import SweepFit, outline
 from toolkit.sweep.likelihood import compare
 from toolkit.sweep.linearity import judge_linearity, response_change
-from toolkit.sweep.misfit import Misfit, look_for_misfit
+from toolkit.sweep.misfit import Misfit, look_for_misfit, with_coarse_misfit
 from toolkit.sweep.model import SweepModel
 from toolkit.sweep.paths import STRAIGHT
 from toolkit.sweep.pixels import Frame
@@ -92,7 +92,7 @@ def refine(
             "the exact streak does not settle on one motion; "
             "measure with --stage contours, or name a region that holds the whole streak"
         )
-    misfit = look_for_misfit(fit)
+    misfit = with_coarse_misfit(look_for_misfit(fit), fit)
     _check_explained(fit, misfit, start)
     linearity = judge_linearity(view, frame, fit, misfit.factor)
     uncertainty = sweep_uncertainty(

@@ -4,7 +4,13 @@ import pytest
 import torch
 
 from toolkit.sweep.fit import fit_sweep
-from toolkit.sweep.misfit import COVERED, bulk_excess, look_for_misfit, mean_square
+from toolkit.sweep.misfit import (
+    COVERED,
+    bulk_excess,
+    look_for_misfit,
+    mean_square,
+    with_coarse_misfit,
+)
 
 SEEDS = 20
 
@@ -57,6 +63,26 @@ def test_noise_alike_in_neighbours_widens(plain):
     assert misfit.significant
     # 25 pixels are alike, of which patches of 64 cut some off
     assert 3 < misfit.factor < 25
+
+
+def test_noise_alone_is_no_coarse_misfit(plain):
+    fits = [plain.again(seed).fit() for seed in range(SEEDS)]
+    pairs = [(look_for_misfit(fit), fit) for fit in fits]
+    assert sum(with_coarse_misfit(*pair).factor > pair[0].factor for pair in pairs) <= 1
+
+
+def test_what_is_alike_over_many_patches_widens_more(streak):
+    """Blotches of 25 px, a third of the noise: each patch of 8 px shows little of them."""
+    seen = streak(width_px=60, length_widths=2.0)
+    frame = seen.frame()
+    blotches = smooth_noise(seen, 25) / 3
+    fit = fitted(seen, replace(frame, signal=seen.shot.image.rgb[0] + blotches))
+    fine = look_for_misfit(fit)
+    coarse = with_coarse_misfit(fine, fit)
+    assert coarse.is_patchy
+    assert coarse.factor > 1.2 * fine.factor
+    assert coarse.factor > 1.5 * fine.patches
+    assert coarse.patches == fine.patches
 
 
 def test_what_all_of_the_streak_misses_widens(plain):
