@@ -15,15 +15,9 @@ from torch import Tensor
 from toolkit.alpha import AlphaEstimator, Observation
 from toolkit.block_means import block_means, whole_periods
 from toolkit.errors import ConfigError, StreakError
+from toolkit.middle_line import AXIS_POINTS, Map, Mask
 from toolkit.splines import fit_smooth
-from toolkit.streak_shape import (
-    AXIS_POINTS,
-    Map,
-    Mask,
-    Region,
-    is_of_a_ball,
-    regions,
-)
+from toolkit.streak_shape import Region, is_of_a_ball, regions
 from toolkit.types import LinearImage, NoiseModel, Streak
 
 MAX_SIDE = 540

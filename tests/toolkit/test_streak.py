@@ -9,8 +9,9 @@ from plugins.uniform import Uniform
 from toolkit import ConfigError, LinearImage, StreakError
 from toolkit.background import estimate_noise
 from toolkit.demosaicing import demosaic
+from toolkit.middle_line import trace_axis
 from toolkit.streak import find_streak, refine_axis
-from toolkit.streak_shape import regions, trace_axis
+from toolkit.streak_shape import regions
 from toolkit.synthetic import NoiseLevel, add_noise, benchmark_scene, render_shot
 from toolkit.synthetic.render import BACKGROUND, SHOT, record
 from toolkit.view import observe_streak
