@@ -31,6 +31,12 @@ REACH = math.radians(15)
 """Standard deviation of the angle from there of what is fitted."""
 STRIDE = 8
 """Of the nodes that the fits look at."""
+BLOCK, WITHIN = 3, 0.9
+"""Nodes along the side of blocks whose noise is compared, and how near to the rim, radii."""
+FEWEST = 33
+"""Nodes along a side from which it is: sharp pictures have 65 or more."""
+HALF_OF_NORMAL = 0.6745
+"""Standard deviations within which half of normally spread numbers lie."""
 FADING = math.radians(10)
 """Angle beyond the rim over which what the fit misses there fades."""
 
@@ -68,6 +74,27 @@ class BallLight:
             align_corners=True,
         )
         return light[0, :, 0].mT.reshape(normal.shape)
+
+
+def picture_noise(ball: SharpBall) -> tuple[float, ...]:
+    """Give the noise of a sharp picture's light in each channel, a node's if it were white.
+
+    It is what differs from block to block of nodes otherwise than a smooth shade does: their fourth
+    differences.
+    """
+    if ball.rgb.shape[-1] < FEWEST:
+        return (0.0,) * len(ball.rgb)
+    blocks = torch.nn.functional.avg_pool2d(ball.rgb.double()[None], BLOCK)[0]
+    line = torch.linspace(-1, 1, ball.rgb.shape[-1], dtype=torch.float64)
+    middle = torch.nn.functional.avg_pool1d(line[None, None], BLOCK)[0, 0]
+    found = []
+    for light in (blocks, blocks.mT):
+        windows = light.unfold(-1, 5, 1)
+        change = windows @ torch.tensor([1.0, -4, 6, -4, 1], dtype=torch.float64) / math.sqrt(70)
+        is_inside = torch.hypot(middle[:, None], middle.unfold(0, 5, 1).abs().amax(-1)) < WITHIN
+        found.append(change[:, is_inside])
+    change = torch.cat(found, dim=1)
+    return tuple((change.abs().median(1).values / HALF_OF_NORMAL * BLOCK).tolist())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -23,7 +23,7 @@ from toolkit import Camera, Chord, Disc
 
 OFFSETS = 49
 """At which means over whole chords are found; between them they are interpolated."""
-PLACES = 24
+PLACES = 40
 """Along a chord, or a part of it."""
 KEPT = 4096
 """Lines of sight whose means are kept: fits ask for the same ones at every step."""

@@ -1,13 +1,13 @@
 """A ball known from a sharp picture: shaded, shiny, or lit by lamps of several colours."""
 
 import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import torch
 from torch import Tensor
 
-from plugins.ball_light import BallLight
+from plugins.ball_light import BallLight, picture_noise
 from plugins.chord_means import ChordMeans
 from toolkit import (
     AlphaEstimator,
@@ -20,6 +20,11 @@ from toolkit import (
     SharpBall,
     observe_colours,
 )
+
+DRAWS = 8
+"""Of a sharp picture's noise, which tell what it does to the answer."""
+LEAST_NOISE = 5e-4
+"""Standard deviation of a node, shares of white, below which it does nothing."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,6 +88,21 @@ class KnownShading(AlphaEstimator):
         if chord.ray is None and _is_whole(chord):
             return self.chords.whole(chord)
         return super().foreground_and_slope(chord, appearance)
+
+    def other_lights(self) -> tuple["KnownShading", ...]:
+        """Give the ball with other noise in its sharp picture; none where there is hardly any."""
+        std = torch.tensor(picture_noise(self.ball))[:, None, None]
+        if float(std.max()) < LEAST_NOISE:
+            return ()
+        generator, rgb = torch.Generator().manual_seed(0), self.ball.rgb
+        return tuple(
+            self._with(rgb + std * torch.randn(rgb.shape, generator=generator))
+            for _ in range(DRAWS)
+        )
+
+    def _with(self, rgb: Tensor) -> "KnownShading":
+        other = KnownShading(ball=replace(self.ball, rgb=rgb))
+        return other if self.camera is None else other.seen_through(self.camera)
 
     @cached_property
     def chords(self) -> ChordMeans:

@@ -100,6 +100,13 @@ class AlphaEstimator(ABC):
         """Give the estimator that knows the camera of the shot: this one, if that tells nothing."""
         return self
 
+    def other_lights(self) -> tuple["AlphaEstimator", ...]:
+        """Give others whose light differs as what this one takes for known may err: none, here.
+
+        Each is drawn for itself, so that the mean square of what they change is its variance.
+        """
+        return ()
+
     @final
     def settled(self, appearance: Tensor) -> "AlphaEstimator":
         """Give the same estimator with its unknowns [A] taken for known."""

@@ -85,6 +85,12 @@ class _Guarded(AlphaEstimator):
             self._refuse("seen_through", f"gives a {type(through).__name__}, not an estimator")
         return guarded(through)
 
+    def other_lights(self) -> tuple[AlphaEstimator, ...]:
+        others = self._ask("other_lights", self.estimator.other_lights)
+        if not all(isinstance(other, AlphaEstimator) for other in others):
+            self._refuse("other_lights", "gives something else than estimators")
+        return tuple(guarded(other) for other in others)
+
     def unknowns(self) -> int:
         count = self._ask("unknowns", self.estimator.unknowns)
         if isinstance(count, bool) or not isinstance(count, int) or count < 0:

@@ -1,14 +1,22 @@
 import math
+from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 import torch
 
-from plugins.ball_light import BallLight
+from plugins.ball_light import BallLight, picture_noise
 from plugins.known_shading import KnownShading
 from toolkit import Camera, Chord, Disc
 from toolkit.ball import SharpBall
+from toolkit.sweep.doubt import J_state, sweep_uncertainty
+from toolkit.sweep.fit import fit_sweep
+from toolkit.sweep.model import SweepModel
+from toolkit.sweep.paths import STRAIGHT
+from toolkit.sweep.pixels import Frame
 from toolkit.synthetic import (
     LambertBall,
+    NoiseLevel,
     Scene,
     StraightPath,
     flat_background,
@@ -146,3 +154,60 @@ def test_streaks_far_from_the_sharp_ball_are_foretold(side, depth):
     assert errors[0] > 0.03
     assert errors[1] < errors[0]
     assert errors[2] < 0.004
+
+
+def test_noise_of_the_sharp_picture_is_told_from_its_shade():
+    ball = seen_sharply((0.0, 0.0, 0.75))
+    assert max(picture_noise(ball)) < 3e-4
+    generator = torch.Generator().manual_seed(0)
+    noise = torch.tensor([0.01, 0.02, 0.005])[:, None, None]
+    rgb = ball.rgb + noise * torch.randn(ball.rgb.shape, generator=generator)
+    found = torch.tensor(picture_noise(SharpBall(disc=ball.disc, rgb=rgb)))
+    assert (found / noise.flatten() - 1).abs().max() < 0.1
+    assert KnownShading(ball=ball).other_lights() == ()
+    few = SharpBall(disc=ball.disc, rgb=ball.rgb[:, :9, :9])
+    assert picture_noise(few) == (0.0, 0.0, 0.0)
+
+
+def test_what_the_sharp_picture_s_noise_does_to_the_answer_is_stated():
+    """Against what the fit's own equations answer to pictures with other noise."""
+    shot = render_shot(replace(scene((12.0, 5.0, 0.0)), noise=NoiseLevel(read=0.01)), step=0.5)
+    clean, level = seen_sharply((0.0, 0.0, 0.75)), 0.02
+    known = KnownShading(ball=clean).seen_through(CAMERA)
+    time = torch.linspace(-0.5, 0.5, 3).double()
+    points = torch.stack([shot.position_at(0.01 + 0.02 * t) for t in time.tolist()])
+    light, empty = shot.image.rgb[0], shot.background.rgb[0]
+    noise = torch.full_like(light, 1e-4)
+    frame = Frame(
+        corner=(0, 0),
+        usable=torch.ones(light.shape[1:], dtype=torch.bool),
+        signal=light,
+        ground=empty,
+        shot_variance=noise,
+        ground_variance=noise,
+        camera=CAMERA,
+    )
+    model = SweepModel(path=STRAIGHT, estimator=known, camera=CAMERA, ball_radius=RADIUS)
+    neutral = torch.tensor([0.1, 1, 1, 1, 0, 0, 0]).double()
+    fit = fit_sweep(model, torch.cat([STRAIGHT.through(time, points), neutral]), frame, doubt=1.0)
+    alpha = fit.seen.coverage.alpha
+    scale = alpha / (noise[0, 0, 0] * (1 + (1 - alpha) ** 2)).sqrt()
+    before = model.colours(fit.parameters, fit.pixels, fit.seen.coverage).colour
+    answers, generator = [], torch.Generator().manual_seed(1)
+    for _ in range(16):
+        rgb = clean.rgb + level * torch.randn(clean.rgb.shape, generator=generator)
+        noisy = KnownShading(ball=SharpBall(disc=clean.disc, rgb=rgb)).seen_through(CAMERA)
+        other = replace(model, estimator=noisy)
+        colour = other.colours(fit.parameters, fit.pixels, fit.seen.coverage).colour
+        answers.append(J_state(fit) @ fit.seen.answer(scale * (colour - before))[:6])
+    scatter = torch.stack(answers)[:, :7].square().mean(0).sqrt()
+    options = {"finer": None, "ball_radius_std": 0, "exposure_std_share": 0}
+    quiet = SimpleNamespace(factor=1.0)
+    stated = [
+        sweep_uncertainty(one, quiet, response_change=None, **options).order.diagonal()[:7].sqrt()
+        for one in (fit, replace(fit, model=replace(model, estimator=noisy)))
+    ]
+    assert (stated[0] == 0).all()
+    # eight draws against sixteen
+    assert (stated[1] / scatter).min() > 0.4
+    assert (stated[1] / scatter).max() < 2.5

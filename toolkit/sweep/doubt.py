@@ -1,5 +1,7 @@
 """What the answer inherits from noise, camera, radius, exposure and response, each kept apart."""
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -77,7 +79,7 @@ def sweep_uncertainty(
     by_order = torch.zeros_like(state) if finer is None else motion_of(finer).state() - state
     return Uncertainty(
         noise=J @ fit.path_covariance @ J.mT * misfit.factor,
-        order=torch.outer(by_order, by_order),
+        order=torch.outer(by_order, by_order) + _light_covariance(fit, J),
         camera=_camera_covariance(fit, J),
         radius=torch.outer(by_radius, by_radius),
         exposure=torch.outer(by_exposure, by_exposure),
@@ -85,10 +87,30 @@ def sweep_uncertainty(
     )
 
 
+def _light_covariance(fit: SweepFit, J: Tensor) -> Tensor:
+    """Carry what the estimator takes for the ball's light and may err, as its other lights tell."""
+    covariance = torch.zeros(len(J), len(J), dtype=torch.float64)
+    others = fit.model.estimator.other_lights()
+    seen, k = fit.seen, fit.model.path.size
+    if not others:
+        return covariance
+    before = fit.model.colours(fit.parameters, fit.pixels, seen.coverage).colour
+    for other in others:
+        model = replace(fit.model, estimator=other)
+        colour = model.colours(fit.parameters, fit.pixels, seen.coverage).colour
+        change = seen.coverage.alpha * (colour - before) / _variance(fit).sqrt()
+        answer = J @ seen.answer(change)[:k]
+        covariance += torch.outer(answer, answer) / len(others)
+    return covariance
+
+
 def _answer_to_response(fit: SweepFit, change: Tensor) -> Tensor:
+    return fit.seen.answer(change / _variance(fit).sqrt())
+
+
+def _variance(fit: SweepFit) -> Tensor:
     rest = 1 - fit.seen.coverage.alpha
-    variance = fit.pixels.shot_variance + rest**2 * fit.pixels.ground_variance
-    return fit.seen.answer(change / variance.sqrt())
+    return fit.pixels.shot_variance + rest**2 * fit.pixels.ground_variance
 
 
 def _camera_covariance(fit: SweepFit, J: Tensor) -> Tensor | None:

@@ -6,7 +6,7 @@ shading does; how much is fitted along with all else, and what is then known of 
 of the depth, is rightly less. [derived]
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -47,6 +47,10 @@ class Shaded(AlphaEstimator):
     ) -> Observation:
         """Observe as the other does."""
         return self.estimator.observe(image, background, noise)
+
+    def other_lights(self) -> tuple[AlphaEstimator, ...]:
+        """Lay the same shade over the other's."""
+        return tuple(replace(self, estimator=other) for other in self.estimator.other_lights())
 
     def unknowns(self) -> int:
         """Those of the other, and the shade's."""
