@@ -14,7 +14,7 @@ from every pixel of the background (norm of three channels):
 - lit stripes: the same before the lamp.
 
 The lamp stays while the ball crosses the view, so that its shade shifts on the disc: by up to half
-the angle that it crosses ("turn_deg" in the rows saved).
+the angle that it crosses ("turn_deg" in the rows saved), by which errors are told apart too.
 
     python benchmarks/sweep_balls.py [--shots N] [--kind shaded striped] [--workers 2] [--save FILE]
 """
@@ -31,13 +31,14 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from sweep_scenes import BALL_COLOUR, CONTRAST, draw_scene, facts, render
-from sweep_score import Row, in_processes, save_rows, score, summary
+from sweep_score import AXES, Row, in_processes, over_bound, rms, save_rows, score, summary
 
 from plugins.known_shading import KnownShading
 from plugins.two_colour import TwoColour
@@ -61,6 +62,8 @@ Array = NDArray[np.float64]
 
 AMBIENT, LAMP_ANGLE = 0.4, math.radians(50)
 TURNS, STRIPES = (2.0, 6.0), (2, 7)
+TURN_DEG = (0, 3, 8, 31)
+"""Between which shots are told apart by how far the view turns."""
 NODES, RIM = 129, 0.999
 """Of the exact light of a disc, and how near to the rim it is taken."""
 INSTANTS = 40
@@ -194,6 +197,17 @@ def turn(shot: RenderedShot) -> float:
     return math.degrees(math.acos(min(1.0, float(first @ last)))) / 2
 
 
+def by_turn(rows: list[Row]) -> str:
+    """Give the errors over their bounds of shots whose view turns little, more and much."""
+    lines = [f"{'rms error / bound, by turn':32}" + "".join(f"{axis:>9}" for axis in AXES)]
+    for low, high in pairwise(TURN_DEG):
+        own = [r for r in rows if r["refused"] is None and low <= r["turn_deg"] < high]
+        if own:
+            values = "".join(f"{value:9.3f}" for value in rms(over_bound(own)))
+            lines.append(f"{f'{low} to {high} degrees, {len(own)} shots':32}{values}")
+    return "\n".join(lines)
+
+
 def main() -> None:
     """Print a summary of each kind."""
     parser = argparse.ArgumentParser(
@@ -212,7 +226,7 @@ def main() -> None:
         work = partial(run_shot, name=name, cache=arguments.cache)
         rows = list(in_processes(work, seeds, arguments.workers))
         everything += rows
-        print(f"--- {name}\n{summary(rows)}\n", flush=True)
+        print(f"--- {name}\n{summary(rows)}\n{by_turn(rows)}\n", flush=True)
     if arguments.save is not None:
         save_rows(arguments.save, everything)
 

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from sweep_balls import KINDS, know_exactly, paint, see_sharply, turn
+from sweep_balls import KINDS, by_turn, know_exactly, paint, see_sharply, turn
 from sweep_scenes import draw_scene, render
 
 from toolkit.synthetic import mean_colour, render_sharp
@@ -57,3 +57,12 @@ def test_a_ball_that_crosses_the_view_turns_by_half_of_that(shaded):
     )
     angle = math.acos(start @ end / np.linalg.norm(start) / np.linalg.norm(end))
     assert turn(shaded) == pytest.approx(math.degrees(angle) / 2)
+
+
+def test_errors_are_told_apart_by_the_turn():
+    bound = [1.0, 1.0, 1.0, 1.0]
+    row = {"refused": None, "turn_deg": 2.0, "error": [2.0, 0, 0, 0], "bound": bound}
+    text = by_turn([row, row | {"turn_deg": 12.0}, row | {"refused": "why"}]).splitlines()
+    assert [line.split()[0] for line in text[1:]] == ["0", "8"]
+    assert text[1].split()[-4:] == ["2.000", "0.000", "0.000", "0.000"]
+    assert "1 shots" in text[1]
