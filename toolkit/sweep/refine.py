@@ -19,11 +19,14 @@ from toolkit.sweep.misfit import Misfit, look_for_misfit, with_coarse_misfit
 from toolkit.sweep.model import SweepModel
 from toolkit.sweep.paths import STRAIGHT
 from toolkit.sweep.pixels import Frame
+from toolkit.sweep.shade import Shaded
 from toolkit.sweep.still import looks_still, speed_limit
 from toolkit.view import StreakView
 
 UNEXPLAINED = 10.0
 """Squared misfit over noise from which the exact image is not that of the ball."""
+OTHER_COLOUR = 20.0
+"""Squared misfit of all of the streak alike over noise from which a known colour is another."""
 STRAYED = 0.5
 """Half widths by which the likeliest path may leave the one that some profiles told at first."""
 DECIDED = 0.99
@@ -123,12 +126,25 @@ def _check_explained(fit: SweepFit, misfit: Misfit, start: Start) -> None:
             "(a pattern, light that changes along the path, a changed background); another "
             "estimator may suit the ball, and --estimator auto tries all"
         )
+    common = misfit.lanes * fit.pixels.excess
+    if common > OTHER_COLOUR and _has_known_colour(fit.model):
+        raise StreakError(
+            "the ball does not show the one colour it is known by: all of the streak misses it "
+            f"alike, by {common:.0f} times the variance of noise; take its colour where it flies, "
+            "or leave it open"
+        )
     strayed = strays(fit, start)
     if strayed > STRAYED:
         raise StreakError(
             f"the exact streak runs away from its profiles, by {strayed:.1f} half widths; "
             "something else than the ball may lie beside it"
         )
+
+
+def _has_known_colour(model: SweepModel) -> bool:
+    """Say whether the ball shows one colour, but for a shade that was fitted, and it was given."""
+    shades = model.estimator.shades if isinstance(model.estimator, Shaded) else 0
+    return (model.is_plain or model.is_laned) and model.unknowns == shades
 
 
 def _both_ways(

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from plugins.uniform import Uniform
 from toolkit import StreakError
 from toolkit.sweep import fit as sweep_fit
 from toolkit.sweep import refine as sweep_refine
@@ -135,3 +136,14 @@ def test_a_path_that_leaves_its_profiles_is_refused(plain):
         refined(plain, start=plain.start(path=aside, is_close=True))
     found = refined(plain, start=plain.start(path=aside))
     assert found.fit.converged
+
+
+@pytest.mark.parametrize("share", [0.8, 1.2])
+def test_a_ball_of_another_colour_than_known_is_refused(streak, share):
+    """A fifth too dark or too bright: a shade and a wrong distance would explain most of it."""
+    seen = streak(width_px=60, length_widths=2.0)
+    colour = tuple(share * channel for channel in seen.scene.appearance.colour)
+    with pytest.raises(StreakError, match="does not show the one colour it is known by"):
+        refined(seen, estimator=Uniform(colour=colour))
+    is_open = streak(Uniform(), width_px=60, length_widths=2.0)
+    assert refined(is_open).fit.converged
