@@ -35,7 +35,7 @@ FINE, COARSE = 12.0, 7.0
 LARGEST_SQUARE = 6
 """px, where the path is chosen."""
 STRAY = 0.35
-"""Half widths by which a richer path may leave the one told by contours."""
+"""Half widths by which a richer path may leave the one that some profiles told at first."""
 MISFIT = 1.5
 """Excess of the squared misfit from which noise is taken to be as large as the misfit."""
 SHADE_STD = 0.3
