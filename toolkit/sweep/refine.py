@@ -26,7 +26,7 @@ from toolkit.view import StreakView
 UNEXPLAINED = 10.0
 """Squared misfit over noise from which the exact image is not that of the ball."""
 OTHER_COLOUR = 20.0
-"""Squared misfit of all of the streak alike over noise from which a known colour is another."""
+"""Squared misfit of all the streak alike, over that of its pixels, of another colour than known."""
 STRAYED = 0.5
 """Half widths by which the likeliest path may leave the one that some profiles told at first."""
 DECIDED = 0.99
@@ -126,12 +126,11 @@ def _check_explained(fit: SweepFit, misfit: Misfit, start: Start) -> None:
             "(a pattern, light that changes along the path, a changed background); another "
             "estimator may suit the ball, and --estimator auto tries all"
         )
-    common = misfit.lanes * fit.pixels.excess
-    if common > OTHER_COLOUR and _has_known_colour(fit.model):
+    if misfit.lanes > OTHER_COLOUR and _has_known_colour(fit.model):
         raise StreakError(
             "the ball does not show the one colour it is known by: all of the streak misses it "
-            f"alike, by {common:.0f} times the variance of noise; take its colour where it flies, "
-            "or leave it open"
+            f"alike, by {misfit.lanes:.0f} times what single pixels tell; take its colour where it "
+            "flies, or leave it open"
         )
     strayed = strays(fit, start)
     if strayed > STRAYED:
