@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from toolkit.splines import SplineBasis, fit_spline
 
@@ -20,6 +21,9 @@ EVEN, BENT = (5.0, 8), (2.5, 40)
 region, and of another."""
 CORES = (0.7, 0.5, 0.3)
 """Depths, in half widths, down to which a bent region is looked at, the first that will do."""
+YIELD, TIP = 0.5, 6
+"""Half widths by which the line of a bent region must leave a smoother one to be taken instead;
+points at either tip that do not count."""
 SLACK, LOST = 0.6, 0.01
 """Half widths by which such a core may come short of a tip; share of the region that is lost."""
 SOLID = 0.95
@@ -84,21 +88,29 @@ def _middles(far: Order, points: Places, half_width: float, cut: float) -> Point
     """
     length = float(far.max())
     edge = min(half_width, length / 4)
-    inside = (far >= edge) & (far <= length - edge)
-    spacing, most = BENT if cut else EVEN
-    basis = SplineBasis(
-        start=edge,
-        stop=length - edge,
-        size=int(np.clip(2 + length / (spacing * half_width), 2, most)),
-    )
-    order, places = (torch.from_numpy(v[inside].astype(np.float64)) for v in (far, points))
-    coefficients, _ = fit_spline(basis, order, places, torch.ones_like(order))
-    along = torch.linspace(-cut, length + cut, AXIS_POINTS, dtype=torch.float64)
+    order, places = torch.from_numpy(far).double(), torch.from_numpy(points).double()
+    inside = (order >= edge) & (order <= length - edge)
+    lines = []
+    for spacing, most in (EVEN, BENT) if cut else (EVEN,):
+        size = int(np.clip(2 + length / (spacing * half_width), 2, most))
+        basis = SplineBasis(start=edge, stop=length - edge, size=size)
+        coefficients, _ = fit_spline(
+            basis, order[inside], places[inside], torch.ones_like(order[inside])
+        )
+        lines.append(_drawn(basis, coefficients, -cut, length + cut))
+    # what hangs on to a streak bends the more yielding line, and turns its tips
+    apart = torch.linalg.vector_norm(lines[-1] - lines[0], dim=-1)[TIP:-TIP]
+    best = lines[0] if float(apart.max()) < YIELD * half_width else lines[-1]
+    return np.asarray(best.numpy(), np.float64)
+
+
+def _drawn(basis: SplineBasis, coefficients: Tensor, first: float, last: float) -> Tensor:
+    """Give points of a line [N, 2] px, which goes on straight where the basis ends."""
+    along = torch.linspace(first, last, AXIS_POINTS, dtype=torch.float64)
     inner = along.clamp(basis.start, basis.stop)
     ahead = basis(inner, 1) @ coefficients
     ahead = ahead / torch.linalg.vector_norm(ahead, dim=-1, keepdim=True).clamp_min(1)
-    middle = basis(inner) @ coefficients + (along - inner)[:, None] * ahead
-    return np.asarray(middle.numpy(), np.float64)
+    return basis(inner) @ coefficients + (along - inner)[:, None] * ahead
 
 
 def _walked(window: Mask) -> NDArray[np.float32]:
