@@ -7,6 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from calibration.board import Board as Board
     from calibration.corners import View as View
     from calibration.corners import find_boards as find_boards
     from calibration.intrinsics import Calibration as Calibration
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from calibration.intrinsics import calibrate_views as calibrate_views
 
 _HOME = {
+    "Board": "calibration.board",
     "Calibration": "calibration.intrinsics",
     "View": "calibration.corners",
     "calibrate": "calibration.intrinsics",

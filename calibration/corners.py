@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.board import Board
 from toolkit.errors import ConfigError, ImageError
 from toolkit.files import sha256
 from toolkit.imaging import read_image
@@ -44,8 +45,11 @@ class View:
 
     path: Path
     picture_size: tuple[int, int] | None = None  # width, height; None when it cannot be read
-    board: tuple[int, int] | None = None  # inner corners along the long and the short side
-    corners: Pixels | None = None  # [R * C, 2] px, row by row along the long side
+    board: tuple[int, int] | None = None  # inner corners: along the long and the short side, or,
+    # of a ChArUco board, along x and y
+    corners: Pixels | None = None  # [N, 2] px, row by row along x; of a partial view those found
+    ids: NDArray[np.int64] | None = None  # [N] which of the board's points they are; None: all
+    target: Board | None = None  # what is printed on the board; a checkerboard when None
     rms_px: float | None = None  # distance of the corners from those the camera predicts
     T_cam_board: NDArray[np.float64] | None = None  # [4, 4], in squares, or metres when known
     reason: str = ""  # why it is not used; empty when it is
@@ -59,6 +63,14 @@ class View:
     def corner_count(self) -> int:
         """How many corners were found."""
         return 0 if self.corners is None else len(self.corners)
+
+    @property
+    def points(self) -> NDArray[np.float64]:
+        """Where the found corners are on the board, in squares [N, 3]; none without a board."""
+        if self.board is None:
+            return np.zeros((0, 3))
+        target = self.target or Board(columns=self.board[0], rows=self.board[1])
+        return target.points() if self.ids is None else target.points()[self.ids]
 
 
 def find_boards(

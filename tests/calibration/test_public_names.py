@@ -4,7 +4,7 @@ import calibration
 
 
 @pytest.mark.parametrize(
-    "name", ["Calibration", "View", "calibrate", "calibrate_views", "find_boards"]
+    "name", ["Board", "Calibration", "View", "calibrate", "calibrate_views", "find_boards"]
 )
 def test_public_names_load_when_asked_for(name):
     assert getattr(calibration, name).__name__ == name
