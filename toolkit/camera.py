@@ -2,7 +2,7 @@
 
 Frames, pixels and the order of the distortion coefficients are those of OpenCV, so that numbers
 move freely between the two: camera frame x right, y down, z forward; (0, 0) is the centre of the
-top-left pixel; distortion is k1 k2 p1 p2 [k3 [k4 k5 k6]].
+top-left pixel; distortion is k1 k2 p1 p2 [k3 [k4 k5 k6]], of a fisheye k1 k2 k3 k4.
 """
 
 from dataclasses import dataclass, replace
@@ -15,6 +15,7 @@ from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 from torch import Tensor
 
+from toolkit import fisheye
 from toolkit.errors import ConfigError
 
 UNDISTORT_STEPS = 12
@@ -27,13 +28,17 @@ Values = TypeVar("Values", Tensor, NDArray[np.float64])
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Camera:
-    """A pinhole camera with polynomial (4 or 5 coefficients) or rational (8) distortion.
+    """A pinhole camera with polynomial (4 or 5 coefficients) or rational (8) distortion, or a fisheye.
 
-    Source: the OpenCV camera model. `covariance` is that of [fx fy cx cy, distortion...]: None
+    Source: the OpenCV camera models. A fisheye sees what lies less than 90 degrees off its axis. `covariance` is that of [fx fy cx cy, distortion...]: None
     when unknown, zero when the camera is known exactly.
     """
 
-    MODELS: ClassVar[dict[str, tuple[int, ...]]] = {"pinhole": (0, 4, 5), "rational": (8,)}
+    MODELS: ClassVar[dict[str, tuple[int, ...]]] = {
+        "pinhole": (0, 4, 5),
+        "rational": (8,),
+        "fisheye": (4,),
+    }
 
     width: int
     height: int
@@ -144,10 +149,10 @@ class Camera:
         A pixel seen at rest has its ray turned by -J_unproject @ J_parameters instead.
         """
         x, y = (points[..., :2] / points[..., 2:]).unbind(-1)
-        shown = _distorted(x, y, self._coefficients())
+        shown = self._shown(x, y)
         zero, one = torch.zeros_like(x), torch.ones_like(x)
         in_x, in_y = [shown[0], zero, one, zero], [zero, shown[1], zero, one]
-        for change_x, change_y in _J_coefficients(x, y, self._coefficients()):
+        for change_x, change_y in self._J_coefficients(x, y):
             in_x.append(self.fx * change_x)
             in_y.append(self.fy * change_y)
         count = 4 + len(self.distortion)
@@ -197,7 +202,9 @@ class Camera:
     def _undistorted(
         self, seen_x: NDArray[np.float64], seen_y: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Invert `_distorted` by Newton steps; NaN where no lens shows a solution."""
+        """Invert the distortion by Newton steps; NaN where no lens shows a solution."""
+        if self.model == "fisheye":
+            return fisheye.undistorted(seen_x, seen_y, self.distortion)
         coefficients, focal = self._coefficients(), max(self.fx, self.fy)
         fold = _fold(coefficients)
         x, y = seen_x, seen_y
@@ -232,14 +239,28 @@ class Camera:
 
     def _distort(self, normalised: Tensor) -> Tensor:
         """Move ideal normalised points [..., 2] to where the lens shows them."""
-        x, y = normalised.unbind(-1)
-        return torch.stack(_distorted(x, y, self._coefficients()), dim=-1)
+        return torch.stack(self._shown(*normalised.unbind(-1)), dim=-1)
 
     def _J_distort(self, normalised: Tensor) -> Tensor:
         """Derivative of `_distort`, [..., 2, 2]."""
         x, y = normalised.unbind(-1)
-        a, b, d = _J_distorted(x, y, self._coefficients())
+        if self.model == "fisheye":
+            a, b, d = fisheye.J_distorted(x, y, self.distortion)
+        else:
+            a, b, d = _J_distorted(x, y, self._coefficients())
         return torch.stack([a, b, b, d], dim=-1).reshape(*x.shape, 2, 2)
+
+    def _shown(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        """Where the lens shows ideal normalised points."""
+        if self.model == "fisheye":
+            return fisheye.distorted(x, y, self.distortion)
+        return _distorted(x, y, self._coefficients())
+
+    def _J_coefficients(self, x: Tensor, y: Tensor) -> list[tuple[Tensor, Tensor]]:
+        """Derivative of `_shown` in each coefficient; of a pinhole in all eight."""
+        if self.model == "fisheye":
+            return fisheye.J_coefficients(x, y)
+        return _J_coefficients(x, y, self._coefficients())
 
 
 def _distorted(x: Values, y: Values, coefficients: tuple[float, ...]) -> tuple[Values, Values]:

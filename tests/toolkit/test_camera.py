@@ -230,7 +230,10 @@ def test_parameters_go_out_and_come_back():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"model": "fisheye"}, "camera model 'fisheye' is unknown; use one of pinhole, rational"),
+        (
+            {"model": "spherical"},
+            "model 'spherical' is unknown; use one of pinhole, rational, fisheye",
+        ),
         ({"distortion": (0.1, 0.2)}, "2 distortion coefficients"),
         ({"distortion": (0.1,) * 8}, "8 distortion coefficients"),
         ({"fx": float("nan")}, "not a finite number"),

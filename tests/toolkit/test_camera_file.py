@@ -82,7 +82,7 @@ def test_a_missing_key_is_named(tmp_path, key):
         ({"fx": True}, "'fx' is True"),
         ({"fx": -5.0}, "positive fx"),
         ({"fx": 10**400}, "hundreds of digits"),
-        ({"model": "fisheye"}, "camera model 'fisheye' is unknown"),
+        ({"model": "spherical"}, "camera model 'spherical' is unknown"),
         ({"distortion": [0.1]}, "1 distortion coefficients"),
         ({"distortion": [0.1, "b", 0.0, 0.0]}, "'b' stands where a number is needed"),
         ({"covariance": [[1.0]]}, "covariance is not 4x4"),
