@@ -64,15 +64,21 @@ def read_camera(path: Path) -> Camera:
 
 
 def write_camera(
-    path: Path, camera: Camera, *, rms_px: float, views: int, images: Sequence[str]
+    path: Path,
+    camera: Camera,
+    *,
+    rms_px: float | None = None,
+    views: int | None = None,
+    images: Sequence[str] = (),
 ) -> None:
     """Write a camera.toml, whole or not at all.
 
     Args:
         path: where to; an older file is replaced.
         camera: what to write.
-        rms_px: root mean square distance between the corners found and those the camera predicts.
-        views: how many photos were used.
+        rms_px: root mean square distance between the corners found and those the camera predicts;
+            None where nobody knows, as of a camera that another program calibrated.
+        views: how many photos were used, if known.
         images: their names.
 
     Raises:
@@ -88,7 +94,8 @@ def write_camera(
     }
     if camera.covariance is not None:
         table["covariance"] = camera.covariance.tolist()
-    table |= {"rms_px": float(rms_px), "views": views, "images": list(images)}
+    notes = {"rms_px": rms_px, "views": views, "images": list(images) or None}
+    table |= {key: value for key, value in notes.items() if value is not None}
     write_text(path, to_toml("camera", table))
 
 
