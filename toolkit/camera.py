@@ -28,10 +28,11 @@ Values = TypeVar("Values", Tensor, NDArray[np.float64])
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Camera:
-    """A pinhole camera with polynomial (4 or 5 coefficients) or rational (8) distortion, or a fisheye.
+    """A pinhole with polynomial (4, 5) or rational (8 coefficients) distortion, or a fisheye.
 
-    Source: the OpenCV camera models. A fisheye sees what lies less than 90 degrees off its axis. `covariance` is that of [fx fy cx cy, distortion...]: None
-    when unknown, zero when the camera is known exactly.
+    Source: the OpenCV camera models. A fisheye sees what lies less than 90 degrees off its axis.
+    `covariance` is that of [fx fy cx cy, distortion...]: None when unknown, zero when the camera is
+    known exactly.
     """
 
     MODELS: ClassVar[dict[str, tuple[int, ...]]] = {

@@ -89,7 +89,7 @@ def _polynomial(theta: Array, coefficients: tuple[float, ...]) -> tuple[Array, A
 
 
 def _scale_and_slope(r2: Values, coefficients: tuple[float, ...]) -> tuple[Values, Values]:
-    """How far points are moved, seen over ideal radius, and its derivative in the squared radius."""
+    """Seen over ideal radius, and the derivative of that in the squared ideal radius."""
     k1, k2, k3, k4 = coefficients
     ratio, change = _angle_over_tangent(r2)
     t2 = ratio * ratio * r2
