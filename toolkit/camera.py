@@ -6,24 +6,20 @@ top-left pixel; distortion is k1 k2 p1 p2 [k3 [k4 k5 k6]], of a fisheye k1 k2 k3
 """
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import ClassVar, TypeVar
+from typing import ClassVar
 
 import numpy as np
 import torch
-from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit import fisheye
+from toolkit import brown, fisheye
 from toolkit.errors import ConfigError
 
 UNDISTORT_STEPS = 12
 """Newton steps at most; convergence is quadratic: 3 or 4 do but near the edge of a fold."""
 UNDISTORTED = 1e-10
 """px that the last step may move any point; the next would move it by the square of that."""
-
-Values = TypeVar("Values", Tensor, NDArray[np.float64])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -207,14 +203,14 @@ class Camera:
         if self.model == "fisheye":
             return fisheye.undistorted(seen_x, seen_y, self.distortion)
         coefficients, focal = self._coefficients(), max(self.fx, self.fy)
-        fold = _fold(coefficients)
+        fold = brown.fold(coefficients)
         x, y = seen_x, seen_y
         for _ in range(UNDISTORT_STEPS):
             # kept before the fold, where Newton cannot leave for a solution that no lens shows
             shrink = np.minimum(0.999 * fold / np.maximum(np.hypot(x, y), 1e-300), 1)
             x, y = shrink * x, shrink * y
-            a, b, d = _J_distorted(x, y, coefficients)
-            now_x, now_y = _distorted(x, y, coefficients)
+            a, b, d = brown.J_distorted(x, y, coefficients)
+            now_x, now_y = brown.distorted(x, y, coefficients)
             missing_x, missing_y = seen_x - now_x, seen_y - now_y
             determinant = a * d - b * b
             step_x = (d * missing_x - b * missing_y) / determinant
@@ -223,7 +219,7 @@ class Camera:
             # False for NaN, which stays NaN
             if not (np.maximum(np.abs(step_x), np.abs(step_y)) * focal > UNDISTORTED).any():
                 break
-        now_x, now_y = _distorted(x, y, coefficients)
+        now_x, now_y = brown.distorted(x, y, coefficients)
         error = np.maximum(np.abs(now_x - seen_x), np.abs(now_y - seen_y)) * focal
         is_seen = (error < 1e-6) & (np.hypot(x, y) < fold)
         return np.where(is_seen, x, np.nan), np.where(is_seen, y, np.nan)
@@ -248,80 +244,20 @@ class Camera:
         if self.model == "fisheye":
             a, b, d = fisheye.J_distorted(x, y, self.distortion)
         else:
-            a, b, d = _J_distorted(x, y, self._coefficients())
+            a, b, d = brown.J_distorted(x, y, self._coefficients())
         return torch.stack([a, b, b, d], dim=-1).reshape(*x.shape, 2, 2)
 
     def _shown(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
         """Where the lens shows ideal normalised points."""
         if self.model == "fisheye":
             return fisheye.distorted(x, y, self.distortion)
-        return _distorted(x, y, self._coefficients())
+        return brown.distorted(x, y, self._coefficients())
 
     def _J_coefficients(self, x: Tensor, y: Tensor) -> list[tuple[Tensor, Tensor]]:
         """Derivative of `_shown` in each coefficient; of a pinhole in all eight."""
         if self.model == "fisheye":
             return fisheye.J_coefficients(x, y)
-        return _J_coefficients(x, y, self._coefficients())
-
-
-def _distorted(x: Values, y: Values, coefficients: tuple[float, ...]) -> tuple[Values, Values]:
-    """Where the lens shows ideal normalised points."""
-    k1, k2, p1, p2, k3, k4, k5, k6 = coefficients
-    r2 = x * x + y * y
-    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    if k4 or k5 or k6:
-        radial = radial / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-    xy = 2 * x * y
-    tangential_x = p1 * xy + p2 * (r2 + 2 * x * x)
-    tangential_y = p1 * (r2 + 2 * y * y) + p2 * xy
-    return x * radial + tangential_x, y * radial + tangential_y
-
-
-def _J_distorted(
-    x: Values, y: Values, coefficients: tuple[float, ...]
-) -> tuple[Values, Values, Values]:
-    """Derivative of `_distorted`, the symmetric [[a, b], [b, d]]: a, b and d."""
-    k1, k2, p1, p2, k3, k4, k5, k6 = coefficients
-    r2 = x * x + y * y
-    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    slope = k1 + r2 * (2 * k2 + 3 * r2 * k3)  # d radial / d x = 2 slope * x
-    if k4 or k5 or k6:
-        below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
-        radial = radial / below
-        slope = (slope - radial * (k4 + r2 * (2 * k5 + 3 * r2 * k6))) / below
-    mixed = 2 * (x * y * slope + p1 * x + p2 * y)
-    return (
-        radial + 2 * (x * x * slope + p1 * y + 3 * p2 * x),
-        mixed,
-        radial + 2 * (y * y * slope + 3 * p1 * y + p2 * x),
-    )
-
-
-def _J_coefficients(
-    x: Tensor, y: Tensor, coefficients: tuple[float, ...]
-) -> list[tuple[Tensor, Tensor]]:
-    """Derivative of `_distorted` in each of k1 k2 p1 p2 k3 k4 k5 k6, (x, y)."""
-    k1, k2, _, _, k3, k4, k5, k6 = coefficients
-    r2 = x * x + y * y
-    below = 1 / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-    radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) * below
-    rises = [r2 * below, r2**2 * below, r2**3 * below]
-    rises += [-radial * rise for rise in rises]
-    first, second, third, *rest = [(x * rise, y * rise) for rise in rises]
-    tangential = [(2 * x * y, r2 + 2 * y * y), (r2 + 2 * x * x, 2 * x * y)]
-    return [first, second, *tangential, third, *rest]
-
-
-@lru_cache(maxsize=64)
-def _fold(coefficients: tuple[float, ...]) -> float:
-    """Normalised radius up to which radial distortion rises and has no pole, or infinity."""
-    k1, k2, _, _, k3, k4, k5, k6 = coefficients
-    above, below = Polynomial([1, k1, k2, k3]), Polynomial([1, k4, k5, k6])  # in r^2
-    # numerator of the derivative of r * above / below
-    slope = above * below + Polynomial([0, 2]) * (above.deriv() * below - above * below.deriv())
-    roots = np.concatenate([slope.trim().roots(), below.trim().roots()])
-    squares = roots.real[(np.abs(roots.imag) < 1e-9 * np.abs(roots)) & (roots.real > 0)]
-    return float(squares.min()) ** 0.5 if squares.size else float("inf")
+        return brown.J_coefficients(x, y, self._coefficients())
 
 
 def _inverse_2x2(matrix: Tensor) -> Tensor:

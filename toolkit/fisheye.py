@@ -18,6 +18,8 @@ from torch import Tensor
 
 Array = NDArray[np.float64]
 Values = TypeVar("Values", Tensor, Array)
+Coefficients = tuple[Any, ...]
+"""Numbers, or arrays that broadcast with the points."""
 
 STEPS = 60
 """Newton or halving steps at most; four or five do."""
@@ -25,21 +27,19 @@ NEAR = 1e-3
 """Squared radius below which a series is used: it is exact to the last digits, the rest is not."""
 
 
-def distorted(x: Values, y: Values, coefficients: tuple[float, ...]) -> tuple[Values, Values]:
+def distorted(x: Values, y: Values, coefficients: Coefficients) -> tuple[Values, Values]:
     """Where the lens shows ideal normalised points."""
     scale, _ = _scale_and_slope(x * x + y * y, coefficients)
     return x * scale, y * scale
 
 
-def J_distorted(
-    x: Values, y: Values, coefficients: tuple[float, ...]
-) -> tuple[Values, Values, Values]:
+def J_distorted(x: Values, y: Values, coefficients: Coefficients) -> tuple[Values, Values, Values]:
     """Derivative of `distorted`, the symmetric [[a, b], [b, d]]: a, b and d."""
     scale, slope = _scale_and_slope(x * x + y * y, coefficients)
     return scale + 2 * x * x * slope, 2 * x * y * slope, scale + 2 * y * y * slope
 
 
-def J_coefficients(x: Tensor, y: Tensor) -> list[tuple[Tensor, Tensor]]:
+def J_coefficients(x: Values, y: Values) -> list[tuple[Values, Values]]:
     """Derivative of `distorted` in each of k1 to k4, (x, y); it depends on the point alone."""
     r2 = x * x + y * y
     ratio, _ = _angle_over_tangent(r2)
@@ -88,7 +88,7 @@ def _polynomial(theta: Array, coefficients: tuple[float, ...]) -> tuple[Array, A
     return value, slope
 
 
-def _scale_and_slope(r2: Values, coefficients: tuple[float, ...]) -> tuple[Values, Values]:
+def _scale_and_slope(r2: Values, coefficients: Coefficients) -> tuple[Values, Values]:
     """Seen over ideal radius, and the derivative of that in the squared ideal radius."""
     k1, k2, k3, k4 = coefficients
     ratio, change = _angle_over_tangent(r2)
