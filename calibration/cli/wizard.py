@@ -1,0 +1,243 @@
+"""`toolkit wizard`: from an empty folder to a rig.toml, question by question."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from toolkit.errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from calibration.wizard.desk import Desk, Outcome
+    from calibration.wizard.run import Step
+
+SCHEMA = "toolkit.wizard-run/1"
+
+
+def wizard(
+    folder: Annotated[
+        Path, typer.Option(metavar="DIR", help="Where rig.toml and all that is made go.")
+    ] = Path(),
+    images: Annotated[
+        list[str] | None,
+        typer.Option(metavar="PHOTO...", help="Photos of the board, or their folder."),
+    ] = None,
+    camera: Annotated[
+        str | None, typer.Option(metavar="F", help="A camera.toml instead of photos.")
+    ] = None,
+    board: Annotated[
+        str | None, typer.Option(metavar="CxR", help="Inner corners; found when not given.")
+    ] = None,
+    square: Annotated[
+        str | None, typer.Option(metavar="M", help="Side of a square; not needed.")
+    ] = None,
+    response: Annotated[
+        str | None,
+        typer.Option(metavar="NAME|F|unknown", help="linear, srgb, a curve, a response.toml."),
+    ] = None,
+    background: Annotated[
+        list[str] | None,
+        typer.Option(metavar="F", help="The scene without the ball; repeat it for several."),
+    ] = None,
+    exposure: Annotated[
+        str | None, typer.Option(metavar="SECONDS", help="Where the files do not tell it: 1/100.")
+    ] = None,
+    readout: Annotated[
+        str | None, typer.Option(metavar="SECONDS", help="Of a rolling shutter, first row to last.")
+    ] = None,
+    radius: Annotated[
+        str | None, typer.Option(metavar="METRES", help="The ball's radius: 0.036 or '36 mm'.")
+    ] = None,
+    radius_std: Annotated[
+        str | None, typer.Option(metavar="METRES", help="Its standard deviation.")
+    ] = None,
+    ball_image: Annotated[
+        str | None, typer.Option(metavar="F", help="A sharp picture of the resting ball, or none.")
+    ] = None,
+    kind_of_ball: Annotated[
+        str | None, typer.Option(metavar="KIND", help="plain, shaded, two-colour or unsure.")
+    ] = None,
+    shot: Annotated[
+        str | None, typer.Option(metavar="F", help="A shot to try the rig on, or none.")
+    ] = None,
+    redo: Annotated[
+        list[str] | None,
+        typer.Option(metavar="STEP", help="Answer a step anew; repeat it for several."),
+    ] = None,
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Replace files that the wizard did not write.")
+    ] = False,
+    # a shell expands --images chess/*.jpg to one option and many words: these are the words
+    more: Annotated[list[str] | None, typer.Argument(hidden=True, metavar="PHOTO")] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Lead from photos of a board to a rig with which `toolkit measure SHOT` alone is enough.
+
+    Asks for what no option says. What is done is kept, in wizard.toml: the next run goes on where
+    this one stopped, and does again only what changed. Without a terminal nothing is asked.
+    """
+    given = _given(
+        images=_photos(images, more),
+        camera=_word(camera),
+        board=_word(board),
+        square=_word(square),
+        response=_word(response),
+        background=tuple(background or ()),
+        exposure=_word(exposure),
+        readout=_word(readout),
+        radius=_word(radius),
+        radius_std=_word(radius_std),
+        ball_image=_word(ball_image),
+        kind_of_ball=_word(kind_of_ball),
+        shot=_word(shot),
+    )
+    desk = _desk(folder, given, redo or (), replace, json)
+    from calibration.wizard.run import run_wizard
+
+    try:
+        outcomes = run_wizard(desk, on_outcome=_shower(json))
+    except (KeyboardInterrupt, typer.Abort):
+        _tell_how_to_go_on(desk)
+        raise
+    if json:
+        typer.echo(_json_text(desk, outcomes))
+    else:
+        typer.echo(f"next: toolkit measure SHOT, for a shot in {_printable(str(desk.folder))}")
+
+
+def _photos(images: list[str] | None, more: list[str] | None) -> tuple[str, ...]:
+    if more and not images:
+        raise ConfigError(f"'{more[0]}' stands alone; photos of a board follow --images")
+    return (*(images or ()), *(more or ()))
+
+
+def _word(text: str | None) -> tuple[str, ...]:
+    return () if text is None else (text,)
+
+
+def _given(**words: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+    """Keep the answers that flags gave."""
+    given = {name: answer for name, answer in words.items() if answer}
+    if "images" in given and "camera" in given:
+        raise ConfigError("--images and --camera are both given; photos make a camera: choose one")
+    return given
+
+
+def _desk(
+    folder: Path, given: dict[str, tuple[str, ...]], redo: Sequence[str], replace: bool, json: bool
+) -> "Desk":
+    from calibration.wizard.desk import Desk
+    from calibration.wizard.memory import read_memory
+    from calibration.wizard.questions import Asker, Terminal
+    from calibration.wizard.run import NAMES, STEPS
+
+    if not folder.is_dir():
+        raise ConfigError(f"--folder {folder} is no folder; make it, or choose another")
+    unknown = [name for name in redo if name not in NAMES]
+    if unknown:
+        raise ConfigError(f"--redo {unknown[0]} is no step; there are {', '.join(NAMES)}")
+    memory = read_memory(folder, NAMES)
+    for one, other in (("images", "camera"), ("camera", "images")):
+        if one in given:
+            memory.answers.pop(other, None)
+    asker = Asker(
+        folder=folder,
+        given=given,
+        answers=memory.answers,
+        person=Terminal() if _is_terminal() else None,
+    )
+    for step in STEPS:
+        if step.name in redo:
+            memory.forget(step.name)
+            asker.refuse(*(q.name for q in step.asks if q.name not in given))
+    return Desk(
+        folder=folder,
+        asker=asker,
+        memory=memory,
+        progress=_progress,
+        tell=_teller(json),
+        may_replace=replace,
+    )
+
+
+def _is_terminal() -> bool:
+    """Whether questions can be read and answered; stdout may go elsewhere."""
+    import sys
+
+    return sys.stdin.isatty() and sys.stderr.isatty()
+
+
+def _teller(json: bool) -> "Callable[[str], None]":
+    """Show headings and advice to a person; nobody else needs them."""
+    if not _is_terminal() or _is_quiet():
+        return lambda text: None
+    return lambda text: typer.echo(text, err=json)
+
+
+def _shower(json: bool) -> "Callable[[Step, Outcome], None]":
+    """Show how a step ended; with --json on stderr, and only to a person."""
+    if json and (not _is_terminal() or _is_quiet()):
+        return lambda step, outcome: None
+
+    def show(step: "Step", outcome: "Outcome") -> None:
+        note = "  (done before, unchanged)" if outcome.status == "kept" else ""
+        lines = outcome.told or ("nothing to do",)
+        texts = [_printable(line) for line in lines]
+        typer.echo(f"{step.name}: {texts[0]}{note}", err=json)
+        for text in texts[1:]:
+            typer.echo(f"  {text}", err=json)
+
+    return show
+
+
+def _is_quiet() -> bool:
+    import logging
+
+    return not logging.getLogger("toolkit").isEnabledFor(logging.INFO)
+
+
+@contextmanager
+def _progress(text: str, count: int) -> Iterator["Callable[[Path], None]"]:
+    """Show a bar on stderr, on a terminal that was not asked to be quiet."""
+    import sys
+
+    from rich.console import Console
+    from rich.progress import Progress
+
+    is_silent = not sys.stderr.isatty() or _is_quiet()
+    with Progress(console=Console(stderr=True), transient=True, disable=is_silent) as bar:
+        task = bar.add_task(text, total=count)
+        yield lambda path: bar.advance(task)
+
+
+def _tell_how_to_go_on(desk: "Desk") -> None:
+    done = ", ".join(desk.memory.steps) or "nothing yet"
+    where = "" if desk.folder == Path() else f" --folder {desk.folder}"
+    typer.echo(f"\nkept: {done}; `toolkit wizard{_printable(where)}` goes on from here", err=True)
+
+
+def _json_text(desk: "Desk", outcomes: "dict[str, Outcome]") -> str:
+    from json import dumps
+
+    from calibration.wizard.rig_step import rig_path
+
+    table: dict[str, Any] = {
+        "schema": SCHEMA,
+        "status": "ok",
+        "reason": None,
+        "rig": str(rig_path(desk)),
+        "steps": [
+            {"name": name, "status": outcome.status, "told": list(outcome.told)}
+            for name, outcome in outcomes.items()
+        ],
+    }
+    return dumps(table)
+
+
+def _printable(text: str) -> str:
+    """Keep control characters and undecodable bytes of file names from the terminal."""
+    return "".join(c if c.isprintable() else "?" for c in text)

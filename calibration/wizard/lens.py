@@ -1,0 +1,115 @@
+"""The wizard's third step: the camera from the photos, with a report that shows what is weak."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from calibration.wizard.desk import Desk, GoBackError, Outcome
+from calibration.wizard.memory import key_of
+from calibration.wizard.photos import CAMERA_NAME, PHOTOS, known_camera
+from calibration.wizard.photos import STEP as PHOTOS_STEP
+from calibration.wizard.quantities import parse_length
+from calibration.wizard.questions import Question, Words, optional
+from toolkit.camera_file import read_camera, write_camera
+
+if TYPE_CHECKING:
+    from calibration.intrinsics import Calibration
+
+STEP = "lens"
+T = TypeVar("T")
+
+
+def _board(words: Words) -> tuple[int, int] | None:
+    from calibration.cli.calibrate import parse_board
+
+    return optional(parse_board)(words)
+
+
+BOARD = Question(
+    name="board",
+    flag="--board CxR",
+    text="Inner corners of the board, e.g. 9x6; none: found from the photos",
+    parse=_board,
+    default=("none",),
+)
+SQUARE = Question(
+    name="square",
+    flag="--square M",
+    text="Side of a square, e.g. 25 mm; none: not known, nor needed for a measurement",
+    parse=optional(parse_length),
+    default=("none",),
+)
+
+
+def calibrate_lens(desk: Desk) -> Outcome:
+    """Calibrate from the photos, or read the camera file that is used instead.
+
+    Raises:
+        CalibrationError: when the photos do not tell the lens well; the text says what to add.
+        ImageError: when none can be read.
+        ConfigError: when camera.toml is somebody else's.
+    """
+    camera = known_camera(desk)
+    if camera is not None:
+        lens = read_camera(camera)
+        told = f"{lens.width}x{lens.height} px, {lens.model}, fx {lens.fx:.1f} px"
+        return Outcome(status="skipped", told=(told,))
+    photos = desk.ask(PHOTOS)
+    size, square = _known(desk, BOARD), _known(desk, SQUARE)
+    key = key_of({"board": size, "square": square}, photos)
+    if desk.memory.is_done(STEP, key):
+        return desk.kept(STEP)
+    out = desk.folder / CAMERA_NAME
+    desk.check_writable(out, instead=f"use it: --camera {out}")
+    result = _calibrate(desk, photos, size, square)
+    names = [view.path.name for view in result.used]
+    write_camera(out, result.camera, rms_px=result.rms_px, views=len(names), images=names)
+    outcome = desk.done(STEP, key, told=_told(result), outputs=(out,))
+    _offer_more_photos(desk, result, outcome)
+    return outcome
+
+
+def camera_path(desk: Desk) -> Path:
+    """Give the camera file, once it is there."""
+    return known_camera(desk) or desk.folder / CAMERA_NAME
+
+
+def _known(desk: Desk, question: Question[T]) -> T | None:
+    """Give the answer of what the photos tell by themselves: asked only where they did not."""
+    name = question.name
+    return desk.ask(question) if desk.asker.knows(name) or name in desk.asker.refused else None
+
+
+def _calibrate(
+    desk: Desk, photos: tuple[Path, ...], board: tuple[int, int] | None, square: float | None
+) -> "Calibration":
+    from calibration.corners import find_boards
+    from calibration.intrinsics import calibrate_views, check_request
+
+    check_request(photos, board, square)
+    with desk.progress("reading photos", len(photos)) as on_photo:
+        views = find_boards(photos, board=board, on_photo=on_photo)
+    return calibrate_views(views, square=square)
+
+
+def _told(result: "Calibration") -> list[str]:
+    """Say how good the camera is, which photos were left out and why, and what would help."""
+    left_out = [view for view in result.views if not view.is_used]
+    camera = result.camera
+    return [
+        f"{len(result.used)} of {len(result.views)} photos used, {camera.model}, fx {camera.fx:.1f}"
+        f" px, the corners within {result.rms_px:.2f} px (RMS)",
+        *(f"left out: {view.path}: {view.reason}" for view in left_out),
+        *(f"caution: {caution.message}" for caution in result.warnings),
+    ]
+
+
+def _offer_more_photos(desk: Desk, result: "Calibration", outcome: Outcome) -> None:
+    """Let the person add photos where the camera is good enough, but could be surer."""
+    if not (result.warnings and desk.has_person):
+        return
+    for line in outcome.told:
+        desk.tell(f"  {line}")
+    if desk.confirm("Go on with this camera? no: take or name more photos", default=True):
+        return
+    desk.asker.refuse(PHOTOS.name)
+    raise GoBackError(PHOTOS_STEP)
