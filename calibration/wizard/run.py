@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from calibration.wizard.ball_step import KIND, RADIUS, RADIUS_STD, SHARP, learn_ball
-from calibration.wizard.board_step import make_board
+from calibration.wizard.board_step import MAKE, make_board
 from calibration.wizard.check_shot import SHOT, check_shot
 from calibration.wizard.desk import Desk, GoBackError, Outcome
 from calibration.wizard.lens import BOARD, calibrate_lens
@@ -29,7 +29,7 @@ class Step:
 
 
 STEPS = (
-    Step(name="board", title="A board to photograph", run=make_board),
+    Step(name="board", title="A board to photograph", run=make_board, asks=(MAKE,)),
     Step(name="photos", title="Photos of the board", run=choose_photos, asks=(PHOTOS, CAMERA)),
     Step(
         name="lens",
@@ -77,6 +77,7 @@ def run_wizard(
         ConfigError: when nobody is there and answers are missing; all their flags are named.
         ToolkitError: of a step that failed, when nobody is there.
     """
+    _check_flags(desk)
     if not desk.has_person:
         check_nothing_missing(desk)
     outcomes: dict[str, Outcome] = {}
@@ -115,6 +116,13 @@ def check_nothing_missing(desk: Desk) -> None:
         raise ConfigError(
             f"nobody is at a terminal to answer, and these are missing: {'; and '.join(missing)}"
         )
+
+
+def _check_flags(desk: Desk) -> None:
+    """Raise `ConfigError` for a flag that cannot be read, before any work is done."""
+    for question in (question for step in STEPS for question in step.asks):
+        if question.name in desk.asker.given:
+            desk.ask(question)
 
 
 def _can_be_mended(desk: Desk, step: Step, error: ToolkitError) -> bool:

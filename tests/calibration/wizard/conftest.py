@@ -6,7 +6,7 @@ import pytest
 from calibration.wizard.desk import Desk
 from calibration.wizard.memory import read_memory
 from calibration.wizard.questions import Asker
-from calibration.wizard.run import NAMES
+from calibration.wizard.run import NAMES, run_wizard
 from toolkit.cli.main import main
 
 
@@ -38,12 +38,9 @@ def simulated(tmp_path_factory):
 
 @pytest.fixture
 def scene(simulated, tmp_path, monkeypatch):
-    """An own copy of the simulated pictures, without any file of a rig; it is the working folder."""
+    """An own copy of the simulated pictures without a rig, as the working folder."""
     own = tmp_path / "scene [1]"
-    own.mkdir()
-    shutil.copytree(simulated / "boards", own / "boards")
-    for name in ("background.dng", "shot.dng"):
-        shutil.copy(simulated / name, own / name)
+    copy_pictures(simulated, own)
     monkeypatch.chdir(own)
     return own
 
@@ -51,15 +48,44 @@ def scene(simulated, tmp_path, monkeypatch):
 @pytest.fixture
 def make_desk():
     """Make a desk over a folder, with a script for the person or nobody there."""
+    return _desk
 
-    def make(folder, *lines, given=None, alone=False, **settings):
-        memory = read_memory(folder, NAMES)
-        asker = Asker(
-            folder=folder,
-            given=given or {},
-            answers=memory.answers,
-            person=None if alone else Script(list(lines)),
-        )
-        return Desk(folder=folder, asker=asker, memory=memory, **settings)
 
-    return make
+def _desk(folder, *lines, given=None, alone=False, **settings):
+    memory = read_memory(folder, NAMES)
+    asker = Asker(
+        folder=folder,
+        given=given or {},
+        answers=memory.answers,
+        person=None if alone else Script(list(lines)),
+    )
+    return Desk(folder=folder, asker=asker, memory=memory, **settings)
+
+
+def copy_pictures(source, folder):
+    folder.mkdir()
+    shutil.copytree(source / "boards", folder / "boards")
+    for name in ("background.dng", "shot.dng"):
+        shutil.copy(source / name, folder / name)
+
+
+@pytest.fixture(scope="session")
+def finished(simulated, tmp_path_factory):
+    """A folder in which flags alone made a rig, and how the steps ended."""
+    folder = tmp_path_factory.mktemp("finished") / "scene [1]"
+    copy_pictures(simulated, folder)
+    given = {
+        "images": (str(folder / "boards"),),
+        "background": (str(folder / "background.dng"),),
+        "radius": ("50 mm",),
+    }
+    return folder, run_wizard(_desk(folder, given=given, alone=True))
+
+
+@pytest.fixture
+def done(finished, tmp_path, monkeypatch):
+    """An own copy of that folder; nothing in it depends on where it lies."""
+    own = tmp_path / "scene [1]"
+    shutil.copytree(finished[0], own)
+    monkeypatch.chdir(own)
+    return own

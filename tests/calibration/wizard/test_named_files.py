@@ -49,7 +49,7 @@ def test_a_wrong_path_is_answered_with_what_is_there(folder, word, message):
 
 def test_a_folder_without_pictures_and_an_empty_answer(folder):
     (folder / "empty").mkdir()
-    with pytest.raises(ConfigError, match="empty holds no pictures; .*empty is empty"):
+    with pytest.raises(ConfigError, match=r"empty holds no pictures; .*empty is empty"):
         find_pictures(["empty"])
     with pytest.raises(ConfigError, match="no picture was named"):
         find_pictures([])

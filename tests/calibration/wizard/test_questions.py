@@ -73,7 +73,7 @@ def test_without_a_person_the_flag_is_named():
 
 
 def test_a_bad_flag_is_an_error_even_with_a_person():
-    with pytest.raises(ConfigError, match="^--count: 'x' is no number"):
+    with pytest.raises(ConfigError, match=r"^--count: 'x' is no number"):
         asker("3", given={"count": ("x",)}).ask(COUNT)
 
 
@@ -107,7 +107,7 @@ def test_a_file_that_has_gone_is_asked_for_again(tmp_path, monkeypatch):
     one = asker("b.jpg", answers={"images": ("gone.jpg",)})
     assert one.ask(PICTURES) == (Path("b.jpg"),)
     assert "gone.jpg does not exist" in one.person.heard[0]
-    with pytest.raises(ConfigError, match="^--images: gone.jpg does not exist"):
+    with pytest.raises(ConfigError, match=r"^--images: gone.jpg does not exist"):
         asker(answers={"images": ("gone.jpg",)}, alone=True).ask(PICTURES)
 
 
