@@ -80,3 +80,52 @@ class Board:
             columns, rows = self.squares
             return f"ChArUco board of {columns}x{rows} squares ({self.dictionary})"
         return f"board of {self.columns}x{self.rows} inner corners"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BoardRequest:
+    """What is known of a board before the photos are seen; None where they shall tell."""
+
+    kind: Kind | None = None
+    size: tuple[int, int] | None = None  # inner corners in any order; of ChArUco squares along x, y
+    square_m: float | None = None
+    marker_m: float | None = None
+    dictionary: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.marker_m or self.dictionary:
+            if self.kind == "checker":
+                raise ConfigError("a checkerboard has no markers; leave them out, or say charuco")
+            object.__setattr__(self, "kind", "charuco")
+        size = self.size or (9, 6)
+        if self.kind == "charuco":
+            size = (size[0] - 1, size[1] - 1)
+        Board(
+            kind=self.kind or "checker",
+            columns=size[0],
+            rows=size[1],
+            square_m=self.square_m,
+            marker_m=self.marker_m,
+        )
+
+    @classmethod
+    def of(cls, board: "tuple[int, int] | Board | BoardRequest | None") -> "BoardRequest":
+        """Take a size, a board or a request for a request."""
+        if isinstance(board, BoardRequest):
+            return board
+        if not isinstance(board, Board):
+            return cls(size=board)
+        return cls(
+            kind=board.kind,
+            size=board.squares if board.kind == "charuco" else board.size,
+            square_m=board.square_m,
+            marker_m=board.marker_m,
+            dictionary=board.dictionary,
+        )
+
+    @property
+    def marker_share(self) -> float | None:
+        """Side of a marker over that of a square, where both are known."""
+        if self.marker_m is None or self.square_m is None:
+            return None
+        return self.marker_m / self.square_m
