@@ -117,6 +117,27 @@ def fit_plane(light: Tensor, variance: Tensor) -> BallColours:
     )
 
 
+def share_off(colours: BallColours, light: Tensor, variance: Tensor) -> float:
+    """Give the share of pixels [N, 3] that lie off what a ball's colours span; 0 where that is all.
+
+    Args:
+        colours: of the ball.
+        light: of the pixels, linear [N, 3] float64.
+        variance: of each [N, 3].
+    """
+    if colours.normal is not None:
+        squared = _squared(light, variance, torch.tensor([colours.normal]).double())[:, 0]
+        return float((squared > OUTLIER**2).double().mean())
+    if colours.kind == "solid":
+        return 0.0
+    length = torch.linalg.vector_norm(light, dim=-1).clamp_min(1e-9)
+    mean = torch.tensor(colours.mean).double()
+    angle = torch.acos((light @ mean / length / mean.norm()).clamp(-1, 1))
+    std = ((variance.mean(-1) + _model_variance(light)).sqrt() / length).clamp_max(math.pi)
+    # off in either of two directions, so a little further than in one
+    return float((angle > OUTLIER * std + MIN_HUE / 2).double().mean())
+
+
 def _draw_plane(light: Tensor, variance: Tensor) -> Tensor:
     """Give the normal of the best of many planes through black and two pixels, [3]."""
     generator = torch.Generator().manual_seed(0)
