@@ -120,7 +120,7 @@ def holds_markers(grey: Grey, corners: Pixels) -> bool:
     x, y = x[..., None], y[..., None]
     top, bottom = first + x * (right - first), down + x * (last - down)
     places = (top + y * (bottom - top)).reshape(-1, 81, 2).astype(np.float32)
-    patches = cv2.remap(as_bytes(grey), *places.transpose(2, 0, 1), cv2.INTER_LINEAR)
+    patches = cv2.remap(as_bytes(grey), places[..., 0], places[..., 1], cv2.INTER_LINEAR)
     low, high = np.percentile(patches, (5, 95))
     is_white = np.add.outer(np.arange(corners.shape[0] - 1), np.arange(corners.shape[1] - 1)) % 2
     spreads = patches.std(axis=1).reshape(is_white.shape) / max(high - low, 1)

@@ -177,7 +177,9 @@ def _fits(markers: Markers) -> Iterator[tuple[float, bool, float, int, float]]:
             if np.ptp(centres, axis=0).min() < 1:
                 continue  # in one line they fit anything
             # from the picture to the board, so that the error is in squares
-            H, _ = cv2.findHomography(markers.corners.mean(1), centres, cv2.RANSAC, LAYOUT_ERROR)
+            H: Any = cv2.findHomography(markers.corners.mean(1), centres, cv2.RANSAC, LAYOUT_ERROR)[
+                0
+            ]
             if H is None:
                 continue
             placed = cv2.perspectiveTransform(markers.corners, H)
