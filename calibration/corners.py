@@ -250,9 +250,10 @@ def _find_charuco(view: View, picture: Brightness, layout: Layout) -> View:
 
 def _with_quality(view: View, picture: Brightness, reach: float = 0.3) -> View:
     assert view.corners is not None  # for the type checker
+    widths = edge_widths(picture.grey, view.grid, reach=reach)
     return replace(
         view,
-        edge_px=edge_widths(picture.grey, view.grid, reach=reach),
+        edge_px=widths if np.isfinite(widths).all() else None,
         clipped_share=clipped_share(picture.clipped, view.corners),
     )
 

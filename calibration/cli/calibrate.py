@@ -1,10 +1,11 @@
-"""`toolkit calibrate`: photos of a checkerboard in, camera.toml out."""
+"""`toolkit calibrate`: photos of a board in, camera.toml out."""
 
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -13,7 +14,7 @@ from toolkit.errors import CalibrationError, ConfigError, ToolkitError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from calibration.corners import View
+    from calibration.corners import BoardSearch, View
     from calibration.intrinsics import Calibration
 
 SCHEMA = "toolkit.calibration/1"
@@ -22,13 +23,25 @@ SCHEMA = "toolkit.calibration/1"
 def calibrate(
     images: Annotated[
         list[str] | None,
-        typer.Option("--images", metavar="PHOTO...", help="Photos of a checkerboard."),
+        typer.Option("--images", metavar="PHOTO...", help="Photos of a board."),
     ] = None,
     # a shell expands --images chess/*.jpg to one option and many words: these are the words
     more: Annotated[list[str] | None, typer.Argument(hidden=True, metavar="PHOTO")] = None,
     board: Annotated[
         str | None,
-        typer.Option(metavar="CxR", help="Inner corners, e.g. 9x6; found when not given."),
+        typer.Option(
+            metavar="CxR",
+            help="Inner corners, 9x6, or squares of a ChArUco board, 5x7; found when not given.",
+        ),
+    ] = None,
+    kind: Annotated[
+        Literal["checker", "charuco"] | None, typer.Option(help="Found when not given.")
+    ] = None,
+    dictionary: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Of a ChArUco board's markers: DICT_6X6_250.")
+    ] = None,
+    marker: Annotated[
+        float | None, typer.Option(metavar="M", help="Side of a marker in metres, to check it.")
     ] = None,
     square: Annotated[
         float | None,
@@ -39,23 +52,28 @@ def calibrate(
     ),
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """Calibrate a camera from photos of a checkerboard."""
+    """Calibrate a camera from photos of a checkerboard or a ChArUco board."""
     paths = expand([*(images or []), *(more or [])])
     size = parse_board(board)
     _check_out(out, paths)
-    from calibration.corners import find_boards
+    from calibration.board import BoardRequest
+    from calibration.corners import search_boards
     from calibration.intrinsics import calibrate_views, check_request
 
     check_request(paths, size, square)
+    request = BoardRequest(
+        kind=kind, size=size, square_m=square, marker_m=marker, dictionary=dictionary
+    )
     with _progress(len(paths)) as on_photo:
-        views = find_boards(paths, board=size, on_photo=on_photo)
+        found = search_boards(paths, board=request, on_photo=on_photo)
     try:
-        result = calibrate_views(views, square=square)
+        result = calibrate_views(found.views, square=square)
     except ToolkitError as error:
-        _report_failure(views, error, json)
+        _report_failure(found, error, json)
         raise
+    result = replace(result, warnings=(*found.cautions, *result.warnings))
     _write(out, result)
-    typer.echo(_json_text(result, out, square) if json else _text(result, out))
+    typer.echo(_json_text(found, result, out, square) if json else _text(found, result, out))
 
 
 def _check_out(out: Path, photos: Sequence[Path]) -> None:
@@ -119,12 +137,15 @@ def _progress(count: int) -> Iterator["Callable[[Path], None]"]:
         yield lambda path: bar.advance(task)
 
 
-def _report_failure(views: "Sequence[View]", error: ToolkitError, json: bool) -> None:
+def _report_failure(found: "BoardSearch", error: ToolkitError, json: bool) -> None:
     """Log the failed photos that the error does not name; print a refusal as JSON where asked."""
     import logging
 
     from calibration.intrinsics import MOST_NAMED, reasons
 
+    views = found.views
+    for caution in found.cautions:
+        logging.getLogger("toolkit").warning("%s", caution.message)
     failed = [view for view in views if not view.is_used]
     for view in failed[MOST_NAMED if reasons(views) in str(error) else 0 :]:
         logging.getLogger("toolkit").warning("%s", _line(view))
@@ -155,7 +176,7 @@ def _printable(text: str) -> str:
     return "".join(c if c.isprintable() else "?" for c in text)
 
 
-def _text(result: "Calibration", out: Path) -> str:
+def _text(found: "BoardSearch", result: "Calibration", out: Path) -> str:
     camera = result.camera
     std = _std(result)
     numbers = ", ".join(
@@ -166,12 +187,19 @@ def _text(result: "Calibration", out: Path) -> str:
         [
             *(_line(view) for view in result.views),
             *(f"warning: {caution.message}" for caution in result.warnings),
-            f"board {result.board[0]}x{result.board[1]}, {len(result.used)} of {len(result.views)}"
+            f"{_board_text(found)}, {len(result.used)} of {len(result.views)}"
             f" photos used, RMS {result.rms_px:.2f} px",
             f"{numbers} px; {len(camera.distortion)} distortion coefficients",
             f"wrote {_printable(str(out))}",
         ]
     )
+
+
+def _board_text(found: "BoardSearch") -> str:
+    board = found.board
+    if board is not None and board.kind == "charuco":
+        return str(board)
+    return f"board {board.columns}x{board.rows}" if board else "board"
 
 
 def _std(result: "Calibration") -> dict[str, float]:
@@ -180,7 +208,7 @@ def _std(result: "Calibration") -> dict[str, float]:
     return dict(zip(("fx", "fy", "cx", "cy"), values, strict=False))
 
 
-def _json_text(result: "Calibration", out: Path, square: float | None) -> str:
+def _json_text(found: "BoardSearch", result: "Calibration", out: Path, square: float | None) -> str:
     from json import dumps
 
     from toolkit.plain_data import to_plain
@@ -194,6 +222,8 @@ def _json_text(result: "Calibration", out: Path, square: float | None) -> str:
         "reason": None,
         "out": str(out),
         "board": result.board,
+        "board_kind": found.board.kind if found.board else None,
+        "dictionary": found.board.dictionary if found.board else None,
         "rms_px": result.rms_px,
         "camera": {name: getattr(camera, name) for name in names}
         | {"covariance": camera.covariance.tolist()},
@@ -211,6 +241,8 @@ def _plain_view(view: "View") -> dict[str, Any]:
         "status": "used" if view.is_used else "left out",
         "reason": view.reason or None,
         "corners": view.corner_count,
+        "edge_px": view.edge_px,
+        "clipped_share": view.clipped_share,
         "rms_px": view.rms_px,
         "T_cam_board": None if view.T_cam_board is None else view.T_cam_board.tolist(),
     }

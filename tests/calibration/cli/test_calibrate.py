@@ -55,7 +55,7 @@ def test_a_quoted_glob_and_every_option_work(photos, out, capsys, monkeypatch):
     assert {view["corners"] for view in result["views"]} == {54}
     depth = result["views"][0]["T_cam_board"][2][3]
     assert depth == pytest.approx(photos.poses[0][2, 3], rel=0.01)
-    assert [caution["code"] for caution in result["warnings"]] == ["few_views"]
+    assert [caution["code"] for caution in result["warnings"]] == ["board_swapped", "few_views"]
 
 
 def test_options_may_stand_before_between_and_behind_the_photos(photos, out):
