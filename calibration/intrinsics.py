@@ -1,58 +1,71 @@
-"""From photos of a checkerboard to a camera with its uncertainty."""
+"""From photos of a calibration board to a camera with its uncertainty."""
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from calibration.advice import Advice, advice_text, advise
+from calibration.bootstrap import bootstrap_covariance
+from calibration.choose_lens import Tried
 from calibration.corners import View, find_boards
-from calibration.lens_fit import (
-    LensFit,
-    board_points,
-    fit_lens,
-    left_out_rms,
-    lens_covariance,
-)
+from calibration.coverage import count_cells, facing, tilt_counts
+from calibration.halves import compare_halves
+from calibration.lens_doubt import Doubt, lens_doubt
+from calibration.lens_fit import LensFit, residuals, view_rms
+from calibration.lens_models import FAMILIES
+from calibration.projection_doubt import projection_std
+from calibration.robust_choice import Kept, choose_robustly
+from calibration.trust import FEWEST_VIEWS, Evidence, Gate, Halves, gates_of
 from toolkit.camera import Camera
 from toolkit.errors import CalibrationError, ConfigError, ImageError
 from toolkit.measurement import Caution
 
 Array = NDArray[np.float64]
 
-FEWEST_VIEWS = 3
 MOST_NAMED = 4
 """Photos that an error's one line names."""
-ADVISED_VIEWS = 8
-"""Below this many views a caution is given."""
 SAME_VIEW_SHARE = 0.01
 """Views whose corners moved less than this share of the picture's diagonal count as one."""
-OUTLIER_FACTOR = 5.0
-OUTLIER_FLOOR_PX = 1.0
-"""A view is left out when its RMS exceeds the floor and the factor times the median."""
-K3_GAIN = 0.99
-"""k3 is kept when it lowers the left-out RMS below this share: a k3 that fits noise raises it."""
-WORST_FOCAL_STD = 0.05
-DOUBTFUL_FOCAL_STD = 0.01
-"""Standard deviation of fx over fx from which a calibration is refused, or doubted."""
-WORST_RMS_SHARE = 0.005
-"""RMS over the picture's diagonal from which no lens of this model fits."""
-POOR_COVERAGE = 0.3
-"""Share of the picture the corners must surround; the lens is extrapolated elsewhere."""
+FEWEST_DRAWS = 20
+"""Of a bootstrap; fewer tell a standard deviation to no better than a sixth."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModelScore:
+    """One lens that was tried."""
+
+    model: str  # in words: pinhole 5
+    family: str  # as camera.toml calls it
+    terms: int  # distortion coefficients fitted
+    is_bent: bool  # whether the board's bend was fitted
+    rms_px: float
+    held_out_px: float  # error of views left out of the fit
+    is_taken: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Calibration:
-    """A camera, and what each photo said about it."""
+    """A camera, what each photo said about it, and how far it can be trusted."""
 
     camera: Camera  # of the photos' size, with covariance
     rms_px: float
+    held_out_px: float  # error of views left out of the fit; their poses are fitted
     board: tuple[int, int]  # inner corners along the long and the short side
     views: tuple[View, ...]  # one per photo, in the order given
+    model_scores: tuple[ModelScore, ...]
+    board_shape: Array | None  # [R, C] height of the board's points, squares; None: taken as flat
+    grid: NDArray[np.int64]  # [5, 5] corners in each cell of the picture
+    tilts: dict[str, int]  # views whose board faces left, right, up, down
+    halves: Halves | None  # None of fewer than six views
+    gates: tuple[Gate, ...]
+    advice: tuple[Advice, ...]
+    corner_std_px: float  # scatter of a corner's coordinate
+    bootstrap_ratio: tuple[float, ...] | None  # bootstrap's over the covariance's std, fx fy cx cy
     warnings: tuple[Caution, ...] = ()
 
     @property
@@ -60,12 +73,23 @@ class Calibration:
         """The views that took part."""
         return tuple(view for view in self.views if view.is_used)
 
+    @property
+    def advice_text(self) -> str:
+        """Which photos to add, in one line; empty when none is needed."""
+        return advice_text(self.advice)
+
+    def projection_std(self, columns: int = 24, rows: int = 18) -> Array:
+        """Give what the lens's uncertainty does over the picture, px [rows, columns]."""
+        return projection_std(self.camera, columns, rows)
+
 
 def calibrate(
     images: Sequence[Path],
     *,
     board: tuple[int, int] | None = None,
     square: float | None = None,
+    model: str = "auto",
+    bootstrap: int = 0,
     on_photo: Callable[[Path], None] = lambda path: None,
 ) -> Calibration:
     """Calibrate a camera from photos of a checkerboard.
@@ -74,6 +98,8 @@ def calibrate(
         images: photos, RAW or not, of one camera at one focal length and focus.
         board: inner corners along the two sides, found from the photos when None.
         square: side of a square, metre; only the poses of the views need it (squares when None).
+        model: "auto" compares all lenses; "pinhole", "rational" and "fisheye" those of that kind.
+        bootstrap: draws of the views by which the covariance is checked; 0 for none.
         on_photo: called after each photo is first read.
 
     Returns:
@@ -81,35 +107,69 @@ def calibrate(
         was left out.
 
     Raises:
-        ConfigError: no photos, or an impossible board or square.
+        ConfigError: no photos, or an impossible board, square, model or number of draws.
         ImageError: when none of the photos can be read.
         CalibrationError: too few different views, or views that leave the focal length open.
     """
-    check_request(images, board, square)
+    check_request(images, board, square, model, bootstrap)
     views = find_boards(images, board=board, on_photo=on_photo)
-    return calibrate_views(views, square=square)
+    return calibrate_views(views, square=square, model=model, bootstrap=bootstrap)
 
 
-def calibrate_views(views: Sequence[View], *, square: float | None = None) -> Calibration:
-    """Calibrate from views whose corners are already found; see `calibrate`."""
+def calibrate_views(
+    views: Sequence[View],
+    *,
+    square: float | None = None,
+    model: str = "auto",
+    bootstrap: int = 0,
+    cautions: Sequence[Caution] = (),
+) -> Calibration:
+    """Calibrate from views whose corners are already found; see `calibrate`.
+
+    Args:
+        views: one per photo.
+        square: side of a square, metre.
+        model: one of `FAMILIES`.
+        bootstrap: draws of the views; 0 for none.
+        cautions: what else the reader should know, put before what is found here.
+    """
     _check_views(views)
-    kept, lens = _fit_without_outliers(views)
-    used = [view for view in kept if view.is_used]
-    size, board, corners = _shared(used)
-    covariance = lens_covariance(board_points(board), corners, lens)
-    camera = _camera(lens, covariance, size)
-    _check_trust(camera, lens)
+    kept = choose_robustly(views, model)
+    corners, taken = kept.corners, kept.choice.taken
+    doubt = lens_doubt(corners, kept.choice)
+    covariance, ratio = doubt.covariance, None
+    if bootstrap:
+        covariance, ratio = _widen(doubt, bootstrap_covariance(corners, taken.fit, bootstrap))
+    camera = _camera(taken.fit, covariance, corners.picture_size)
+    evidence = _evidence(camera, kept)
+    gates = gates_of(evidence)
+    _refuse(gates)
+    advice = advise(evidence.grid, evidence.tilts, corners.views, gates)
     return Calibration(
         camera=camera,
-        rms_px=lens.rms_px,
-        board=board,
-        views=_with_poses(kept, lens, 1.0 if square is None else square),
-        warnings=_cautions(camera, corners),
+        rms_px=taken.rms_px,
+        held_out_px=taken.held_out.rms_px,
+        board=_board(kept.views),
+        views=_with_poses(kept, 1.0 if square is None else square),
+        model_scores=tuple(_score(one, taken) for one in kept.choice.tried),
+        board_shape=_shape(kept),
+        grid=evidence.grid,
+        tilts=dict(evidence.tilts),
+        halves=evidence.halves,
+        gates=gates,
+        advice=advice,
+        corner_std_px=doubt.corner_px,
+        bootstrap_ratio=ratio,
+        warnings=(*cautions, *kept.cautions, *_cautions(gates)),
     )
 
 
 def check_request(
-    images: Sequence[Path], board: tuple[int, int] | None, square: float | None
+    images: Sequence[Path],
+    board: tuple[int, int] | None,
+    square: float | None,
+    model: str = "auto",
+    bootstrap: int = 0,
 ) -> None:
     """Raise `ConfigError` for what no photo could mend; see `calibrate`."""
     if not images:
@@ -118,6 +178,10 @@ def check_request(
         raise ConfigError(f"board {board[0]}x{board[1]} has too few inner corners; 3x3 at least")
     if square is not None and not (math.isfinite(square) and square > 0):
         raise ConfigError(f"square is {square} m; a positive length is needed")
+    if model not in FAMILIES:
+        raise ConfigError(f"model '{model}' is unknown; use one of {', '.join(FAMILIES)}")
+    if bootstrap and bootstrap < FEWEST_DRAWS:
+        raise ConfigError(f"{bootstrap} bootstrap draws are too few; 0 or at least {FEWEST_DRAWS}")
 
 
 def _check_views(views: Sequence[View]) -> None:
@@ -162,123 +226,106 @@ def _count_different(views: Sequence[View]) -> int:
 
 def _distance(corners: Array, other: Array) -> float:
     """Mean distance of two views' corners, px, whichever end of the board comes first."""
+    if len(corners) != len(other):
+        return math.inf  # partial views of different parts
     turned = (np.linalg.norm(corners - o, axis=-1).mean() for o in (other, other[::-1]))
     return float(min(turned))
 
 
-def _shared(used: Sequence[View]) -> tuple[tuple[int, int], tuple[int, int], list[Array]]:
-    """Picture size and board, which all used views share, and their corners."""
-    size, board = used[0].picture_size, used[0].board
-    assert size is not None  # used views have both, for the type checker
-    assert board is not None
-    return size, board, [view.corners for view in used if view.corners is not None]
+def _board(views: Sequence[View]) -> tuple[int, int]:
+    board = next(view.board for view in views if view.is_used)
+    assert board is not None  # used views have one, for the type checker
+    return board
 
 
-def _fit_without_outliers(views: Sequence[View]) -> tuple[tuple[View, ...], LensFit]:
-    """Fit, set aside views that do not fit the rest, and fit again, at most twice."""
-    kept, lens = tuple(views), _fit([view for view in views if view.is_used])
-    for _ in range(2):
-        limit = max(OUTLIER_FLOOR_PX, OUTLIER_FACTOR * float(np.median(lens.view_rms)))
-        rms = iter(lens.view_rms)
-        doubted = tuple(
-            replace(view, reason=f"does not fit the other views ({error:.1f} px)")
-            if view.is_used and (error := next(rms)) > limit
-            else view
-            for view in kept
-        )
-        used = [view for view in doubted if view.is_used]
-        if len(used) == len(lens.view_rms) or _count_different(used) < FEWEST_VIEWS:
-            break
-        kept, lens = doubted, _fit(used)
-    return kept, lens
-
-
-def _fit(used: Sequence[View]) -> LensFit:
-    """Fit k1 k2 p1 p2, and k3 too where views left out are then predicted better."""
-    size, board, corners = _shared(used)
-    points = board_points(board)
-    with_k3 = len(used) > FEWEST_VIEWS + 1 and left_out_rms(
-        points, corners, size, with_k3=True
-    ) < K3_GAIN * left_out_rms(points, corners, size, with_k3=False)
-    return fit_lens(points, corners, size, with_k3=with_k3)
-
-
-def _camera(lens: LensFit, covariance: Array, size: tuple[int, int]) -> Camera:
-    (fx, _, cx), (_, fy, cy) = lens.matrix[:2].tolist()
+def _camera(fit: LensFit, covariance: Array, size: tuple[int, int]) -> Camera:
+    fx, fy, cx, cy, *distortion = fit.lens.tolist()
     return Camera(
         width=size[0],
         height=size[1],
+        model=fit.model.family,
         fx=fx,
         fy=fy,
         cx=cx,
         cy=cy,
-        distortion=tuple(lens.distortion.tolist()),
+        distortion=tuple(distortion),
         covariance=torch.from_numpy(covariance),
     )
 
 
-def focal_std(camera: Camera) -> float:
-    """Give the larger relative standard deviation of the two focal lengths."""
-    assert camera.covariance is not None  # a calibrated camera has one
-    std = camera.covariance.diagonal()[:2].sqrt() / camera.parameters[:2]
-    return float(std.max())
+def _widen(doubt: Doubt, drawn: Array) -> tuple[Array, tuple[float, ...]]:
+    """Widen the covariance where the bootstrap scatters more; give their ratio for fx fy cx cy."""
+    std = np.sqrt(np.diagonal(doubt.covariance))
+    ratio = np.sqrt(np.diagonal(drawn)) / np.where(std > 0, std, np.inf)
+    factor = np.maximum(1, ratio)
+    return factor[:, None] * doubt.covariance * factor, tuple(ratio[:4].tolist())
 
 
-def _check_trust(camera: Camera, lens: LensFit) -> None:
-    if lens.rms_px > WORST_RMS_SHARE * math.hypot(camera.width, camera.height):
-        raise CalibrationError(
-            f"no lens of this model fits the corners (RMS {lens.rms_px:.1f} px); check that the"
-            " board is flat and that all photos are from one camera at one focal length"
-        )
-    if not focal_std(camera) < WORST_FOCAL_STD:  # also when it is NaN
-        raise CalibrationError(
-            f"the focal length stays open (standard deviation {100 * focal_std(camera):.0f} %);"
-            " tilt the board by 20 to 45 degrees in several directions"
-        )
+def _evidence(camera: Camera, kept: Kept) -> Evidence:
+    taken, corners = kept.choice.taken, kept.corners
+    lean = facing(taken.fit.rotation)
+    seen = [view.corners for view in kept.views if view.is_used and view.corners is not None]
+    return Evidence(
+        camera=camera,
+        views=corners.views,
+        grid=count_cells(seen, corners.picture_size),
+        tilts=tilt_counts(lean),
+        lean=lean,
+        rms_px=taken.rms_px,
+        held_out_px=taken.held_out.rms_px,
+        halves=compare_halves(corners, taken.fit, camera),
+    )
 
 
-def _with_poses(views: Sequence[View], lens: LensFit, square: float) -> tuple[View, ...]:
+def _refuse(gates: Sequence[Gate]) -> None:
+    for gate in gates:
+        if gate.is_refusal and not gate.is_passed:
+            raise CalibrationError(gate.text)
+
+
+def _cautions(gates: Sequence[Gate]) -> tuple[Caution, ...]:
+    """Say what the reader should know although the calibration holds."""
+    return tuple(Caution(code=gate.code, message=gate.text) for gate in gates if not gate.is_passed)
+
+
+def _score(one: Tried, taken: Tried) -> ModelScore:
+    return ModelScore(
+        model=one.fit.model.name,
+        family=one.fit.model.family,
+        terms=len(one.fit.model.fitted),
+        is_bent=one.fit.is_bent,
+        rms_px=one.rms_px,
+        held_out_px=one.held_out.rms_px,
+        is_taken=one is taken,
+    )
+
+
+def _shape(kept: Kept) -> Array | None:
+    """Heights of the whole board's points, less the plane through most of them."""
+    fit = kept.choice.taken.fit
+    if not fit.is_bent:
+        return None
+    view = next(view for view in kept.views if view.is_used)
+    columns, rows = _board(kept.views)
+    every = replace(view, ids=None).points
+    u, v = kept.corners.board_axes(every)
+    height = np.stack([u * u, u * v, v * v], axis=-1) @ fit.bend
+    plane = np.column_stack([u, v, np.ones_like(u)])
+    height = height - plane @ np.linalg.lstsq(plane, height, rcond=None)[0]
+    return np.asarray(height.reshape(rows, columns))
+
+
+def _with_poses(kept: Kept, square: float) -> tuple[View, ...]:
     """Complete the used views with their RMS and pose."""
-    numbers = iter(zip(lens.view_rms, lens.rotation, lens.translation, strict=True))
+    fit = kept.choice.taken.fit
+    rms = view_rms(kept.corners, residuals(kept.corners, fit))
+    numbers = iter(zip(rms, fit.rotation, fit.translation, strict=True))
     done = []
-    for view in views:
+    for view in kept.views:
         if view.is_used:
-            rms, turn, shift = next(numbers)
+            error, rotation, shift = next(numbers)
             pose = np.eye(4)
-            pose[:3, :3], pose[:3, 3] = cv2.Rodrigues(turn)[0], shift * square
-            view = replace(view, rms_px=float(rms), T_cam_board=pose)
+            pose[:3, :3], pose[:3, 3] = rotation, shift * square
+            view = replace(view, rms_px=float(error), T_cam_board=pose)
         done.append(view)
     return tuple(done)
-
-
-def _cautions(camera: Camera, corners: Sequence[Array]) -> tuple[Caution, ...]:
-    """Say what the reader should know although the calibration holds."""
-    cautions = []
-    if len(corners) < ADVISED_VIEWS:
-        text = f"only {len(corners)} views were used; 10 to 20 make the lens surer"
-        cautions.append(Caution(code="few_views", message=text))
-    if focal_std(camera) > DOUBTFUL_FOCAL_STD:
-        text = f"the focal length is only known to {100 * focal_std(camera):.1f} %; tilt the board"
-        cautions.append(Caution(code="focal_length_uncertain", message=text))
-    share = _coverage(camera, corners)
-    if share < POOR_COVERAGE:
-        text = (
-            f"the corners surround {100 * share:.0f} % of the picture; bring the board to its edges"
-        )
-        cautions.append(Caution(code="poor_coverage", message=text))
-    if not bool(torch.isfinite(camera.unproject(_picture_corners(camera))).all()):
-        text = "the distortion cannot be inverted in the picture's corners; bring the board there"
-        cautions.append(Caution(code="distortion_folds", message=text))
-    return tuple(cautions)
-
-
-def _coverage(camera: Camera, corners: Sequence[Array]) -> float:
-    """Area of the convex hull of all corners over that of the picture."""
-    hull = cv2.convexHull(np.concatenate(corners).astype(np.float32))
-    return float(cv2.contourArea(hull)) / (camera.width * camera.height)
-
-
-def _picture_corners(camera: Camera) -> torch.Tensor:
-    right, bottom = camera.width - 1.0, camera.height - 1.0
-    places = [[0.0, 0.0], [right, 0.0], [0.0, bottom], [right, bottom]]
-    return torch.tensor(places, dtype=torch.float64)

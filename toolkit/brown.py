@@ -59,8 +59,8 @@ def J_coefficients(x: Values, y: Values, coefficients: Coefficients) -> list[tup
     rises = [r2 * below, r2**2 * below, r2**3 * below]
     rises += [-radial * rise for rise in rises]
     first, second, third, *rest = [(x * rise, y * rise) for rise in rises]
-    tangential = [(2 * x * y, r2 + 2 * y * y), (r2 + 2 * x * x, 2 * x * y)]
-    return [first, second, *tangential, third, *rest]
+    p1, p2 = (2 * x * y, r2 + 2 * y * y), (r2 + 2 * x * x, 2 * x * y)
+    return [first, second, p1, p2, third, *rest]
 
 
 @lru_cache(maxsize=64)
