@@ -90,7 +90,9 @@ class KnownShading(AlphaEstimator):
         return super().foreground_and_slope(chord, appearance)
 
     def other_lights(self) -> tuple["KnownShading", ...]:
-        """Give the ball with other noise in its sharp picture; none where there is hardly any."""
+        """Give the ball in light that its sharp picture allows for; none where it has no noise."""
+        if self.ball.others is not None:
+            return tuple(self._with(rgb) for rgb in self.ball.others)
         std = torch.tensor(picture_noise(self.ball))[:, None, None]
         if float(std.max()) < LEAST_NOISE:
             return ()
@@ -101,7 +103,7 @@ class KnownShading(AlphaEstimator):
         )
 
     def _with(self, rgb: Tensor) -> "KnownShading":
-        other = KnownShading(ball=replace(self.ball, rgb=rgb))
+        other = KnownShading(ball=replace(self.ball, rgb=rgb, others=None))
         return other if self.camera is None else other.seen_through(self.camera)
 
     @cached_property

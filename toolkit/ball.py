@@ -47,3 +47,4 @@ class SharpBall:
     disc: Disc
     rgb: Tensor  # [3, N, N] linear light, sensor white = 1
     clipped: float = 0.0  # share of the disc that met white, where the light is too low
+    others: Tensor | None = None  # [D, 3, N, N] light that it may have as well, where that is known

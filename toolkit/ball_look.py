@@ -1,6 +1,7 @@
 """From a sharp picture to the light of the ball's disc, on a grid that no longer knows the lens."""
 
 import math
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -9,6 +10,7 @@ from toolkit.ball import Disc, SharpBall
 from toolkit.disc import BallView, view_ball, view_disc
 from toolkit.rim import sample_light
 from toolkit.rim_light import RIM, fit_rim_light
+from toolkit.smooth_light import SmoothLight, fit_smooth_light
 from toolkit.types import LinearImage
 
 GRID = (65, 129)
@@ -41,13 +43,26 @@ def look_at_disc(image: LinearImage, background: LinearImage, disc: Disc) -> Sha
 def lay_out(view: BallView) -> SharpBall:
     """Put the light of a disc on the grid of a `SharpBall`, freed from the background at the rim.
 
-    Where the picture holds more pixels than the grid has nodes, those about a node are averaged.
+    Where a smooth shade explains the picture, it is taken, without the lens's blur, and with it the
+    disc that fits best. Of other balls pixels are taken as they are; where there are more of them
+    than the grid has nodes, those about a node are averaged.
     """
+    smooth = fit_smooth_light(view)
+    return _as_seen(view) if smooth is None else _smooth(view, smooth)
+
+
+def _smooth(view: BallView, smooth: SmoothLight) -> SharpBall:
+    place = _grid(GRID[1])
+    place = place / torch.linalg.vector_norm(place, dim=-1, keepdim=True).clamp_min(1)
+    light = smooth.at(place).clamp_min(0).movedim(-1, 1).float().contiguous()
+    disc = replace(view, disc=smooth.disc).picture_disc
+    return SharpBall(disc=disc, rgb=light[0], clipped=view.clipped, others=light[1:])
+
+
+def _as_seen(view: BallView) -> SharpBall:
     radius = math.sqrt(view.disc.semi_axes[0] * view.disc.semi_axes[1])
     size = _odd(min(max(2 * radius, GRID[0]), GRID[1]))
-    line = torch.linspace(-1, 1, size, dtype=torch.float64)
-    y, x = torch.meshgrid(line, line, indexing="ij")
-    place = torch.stack([x, y], dim=-1)
+    place = _grid(size)
     rho = torch.linalg.vector_norm(place, dim=-1)
     inside = 1 - RIM / radius
     light = _averaged(view.image, view.disc, place, 2 * radius / (size - 1))
@@ -55,6 +70,12 @@ def lay_out(view: BallView) -> SharpBall:
     return SharpBall(
         disc=view.picture_disc, rgb=light.movedim(-1, 0).float().contiguous(), clipped=view.clipped
     )
+
+
+def _grid(size: int) -> Tensor:
+    """Give the places of nodes on the unit disc, [N, N, 2]."""
+    line = torch.linspace(-1, 1, size, dtype=torch.float64)
+    return torch.stack(torch.meshgrid(line, line, indexing="xy"), dim=-1)
 
 
 def _averaged(image: LinearImage, disc: Disc, place: Tensor, spacing: float) -> Tensor:

@@ -67,7 +67,7 @@ def _read(view: BallView, angle: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
     The latter two are [D, S, 3 channels].
     """
-    blur, is_disturbed = _transition(view)
+    blur, is_disturbed = transition(view)
     radius = rim_radius(view.disc, angle)[:, None]
     width = max(BAND_SHARE * float(radius.max()), BAND_LEAST)
     place = torch.arange(-RIM - width, 2 * blur, STEP, dtype=angle.dtype)
@@ -90,7 +90,7 @@ def _read(view: BallView, angle: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return design, seen - clear * behind, torch.where(is_usable, variance, torch.inf)
 
 
-def _transition(view: BallView) -> tuple[float, Tensor]:
+def transition(view: BallView) -> tuple[float, Tensor]:
     """Give the standard deviation of the transition from ball to background, px.
 
     And where it is disturbed, or not told from the background, [D] bool.

@@ -34,8 +34,8 @@ def grid(size: int) -> torch.Tensor:
 
 
 @pytest.mark.parametrize(("radius_px", "size"), [(25, 65), (40, 81), (90, 129)])
-def test_grid_follows_the_disc(sharp_ball, radius_px, size):
-    sharp, empty = sharp_ball(None, radius_px=radius_px)
+def test_grid_of_a_patterned_ball_follows_the_disc(sharp_ball, radius_px, size):
+    sharp, empty = sharp_ball(striped, radius_px=radius_px)
     ball = look_at_ball(sharp.image, empty)
     assert ball.rgb.shape == (3, size, size)
     assert ball.rgb.dtype == torch.float32
