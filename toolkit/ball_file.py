@@ -19,11 +19,14 @@ Colour = tuple[float, float, float]
 KINDS = ("plane", "line", "solid")
 _KEYS: dict[str, type | tuple[type, ...]] = {
     "radius_m": float,
+    "radius_std_m": float,
     "kind": str,
     "colours": list,
+    "colours_std": list,
     "plane_normal": list,
     "plane_normal_std": float,
     "sharp": dict,
+    "also": list,
 }
 _SHARP: dict[str, type | tuple[type, ...]] = {
     "image": str,
@@ -73,11 +76,36 @@ class BallFile:
     """What a ball.toml says; None, or empty, where it says nothing."""
 
     radius: float | None = None  # metre
+    radius_std: float | None = None  # metre
     kind: str | None = None  # "plane", "line" or "solid", as the colours lie about black
     colours: tuple[Colour, ...] = ()  # linear R,G,B, sensor white = 1: two pigments, or one
+    colours_std: tuple[Colour, ...] = ()  # of each of them
     plane_normal: Colour | None = None  # unit, of the plane through black and both pigments
     plane_normal_std: float | None = None  # radian
     sharp: SharpSource | None = None
+    also: tuple[SharpSource, ...] = ()  # further pictures in the same light, the ball not turned
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """All that `look` reads."""
+        sources = (*((self.sharp,) if self.sharp else ()), *self.also)
+        return tuple(dict.fromkeys(path for source in sources for path in source.files))
+
+    def look(self) -> "SharpBall":
+        """Read the pictures and take the mean light of the discs.
+
+        Raises:
+            ConfigError: when the file names no picture.
+            ImageError: when a picture cannot be read.
+            MismatchError: when a disc does not lie in it, or the pictures differ in size.
+        """
+        if self.sharp is None:
+            raise ConfigError("the ball file names no sharp picture; run `toolkit ball` again")
+        if not self.also:
+            return self.sharp.look()
+        from toolkit.mean_ball import mean_ball
+
+        return mean_ball([source.look() for source in (self.sharp, *self.also)])
 
 
 def read_ball(path: Path) -> BallFile:
@@ -95,13 +123,24 @@ def read_ball(path: Path) -> BallFile:
     normal = None
     if "plane_normal" in table:
         normal = _unit(where, _numbers(where, "plane_normal", table["plane_normal"], 3))
+    colours, std = (
+        tuple(_colour(where, row) for row in table.get(key, []))
+        for key in ("colours", "colours_std")
+    )
+    if std and len(std) != len(colours):
+        raise ConfigError(f"{where}: {len(std)} colours_std for {len(colours)} colours; one each")
+    if "also" in table and "sharp" not in table:
+        raise ConfigError(f"{where}: [[also]] without [sharp]; run `toolkit ball` again")
     return BallFile(
         radius=_positive(where, "radius_m", table.get("radius_m")),
+        radius_std=_positive(where, "radius_std_m", table.get("radius_std_m")),
         kind=kind,
-        colours=tuple(_colour(where, row) for row in table.get("colours", [])),
+        colours=colours,
+        colours_std=std,
         plane_normal=normal,
         plane_normal_std=_positive(where, "plane_normal_std", table.get("plane_normal_std")),
-        sharp=_sharp(path, table["sharp"]) if "sharp" in table else None,
+        sharp=_sharp(path, table["sharp"], "[sharp]") if "sharp" in table else None,
+        also=tuple(_sharp(path, section, "[[also]]") for section in table.get("also", [])),
     )
 
 
@@ -114,11 +153,14 @@ def write_ball(path: Path, ball: BallFile) -> None:
     """
     table: dict[str, Any] = {
         "radius_m": ball.radius,
+        "radius_std_m": ball.radius_std,
         "kind": ball.kind,
         "colours": [list(colour) for colour in ball.colours] or None,
+        "colours_std": [list(colour) for colour in ball.colours_std] or None,
         "plane_normal": ball.plane_normal,
         "plane_normal_std": ball.plane_normal_std,
         "sharp": None if ball.sharp is None else _sharp_table(path.parent, ball.sharp),
+        "also": [_sharp_table(path.parent, source) for source in ball.also] or None,
     }
     write_text(path, to_toml("ball", {k: v for k, v in table.items() if v is not None}))
 
@@ -148,10 +190,12 @@ def _from(folder: Path, place: Path) -> str:
         return place.resolve().as_posix()
 
 
-def _sharp(path: Path, section: Mapping[str, Any]) -> SharpSource:
+def _sharp(path: Path, section: Mapping[str, Any], name: str) -> SharpSource:
     from toolkit.ball import Disc
 
-    where = f"{path} [sharp]"
+    where = f"{path} {name}"
+    if not isinstance(section, Mapping):
+        raise ConfigError(f"{where} is {section!r:.40}; run `toolkit ball` again")
     check_keys(where, section, _SHARP)
     missing = [key for key in _SHARP if key not in section and key not in _SHARP_OPTIONAL]
     if missing:

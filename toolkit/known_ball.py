@@ -13,7 +13,6 @@ from toolkit.rig import Rig
 if TYPE_CHECKING:
     from toolkit.ball import SharpBall
     from toolkit.ball_colours import BallColours
-    from toolkit.ball_file import SharpSource
     from toolkit.disc import BallView
 
 LEARNT = ("plane_normal", "colour")
@@ -30,6 +29,7 @@ class KnownBall:
     """What is known about a ball; its sharp picture is looked at when it is asked for."""
 
     radius: float | None  # metre
+    radius_std: float | None  # metre, of that radius; None where nobody tells it
     numbers: Mapping[str, object]  # by the names that estimators use for their fields
     look: "Callable[[], SharpBall] | None"  # reads the sharp picture
     learn: "Callable[[], BallColours] | None"  # learns colours from it that nobody has named
@@ -101,8 +101,11 @@ def know_ball(settings: Rig) -> KnownBall:
     if picture is not None and not picture.exists():  # even where nobody will look at it
         raise ImageError(f"{picture} does not exist; give the path of a sharp picture of the ball")
     view = None if picture is None else cache(partial(view_picture, picture, settings))
+    # a standard deviation belongs to its own radius
+    is_own = settings.ball_radius is not None or settings.ball_radius_std is not None
     return KnownBall(
         radius=ball.radius if settings.ball_radius is None else settings.ball_radius,
+        radius_std=settings.ball_radius_std if is_own else ball.radius_std,
         numbers=numbers,
         look=_looking(view, ball, settings.ball),
         learn=None if view is None else partial(_learn, view),
@@ -117,13 +120,13 @@ def _looking(
 ) -> "Callable[[], SharpBall] | None":
     if view is not None:
         return partial(_lay_out, view)
-    return None if ball.sharp is None else partial(_look_again, ball.sharp, file)
+    return None if ball.sharp is None else partial(_look_again, ball, file)
 
 
-def _look_again(source: "SharpSource", file: Path | None) -> "SharpBall":
-    """Look at the picture that a ball file names; an error names the file too."""
+def _look_again(ball: BallFile, file: Path | None) -> "SharpBall":
+    """Look at the pictures that a ball file names; an error names the file too."""
     try:
-        return source.look()
+        return ball.look()
     except ToolkitError as error:
         raise type(error)(f"{file}: {error}") from None
 
@@ -148,7 +151,7 @@ def _only(seen: "BallColours") -> tuple[float, ...] | None:
 def _pictures(settings: Rig, ball: BallFile) -> tuple[Path, ...]:
     if settings.ball_image is not None:
         return (settings.ball_image,)
-    return () if ball.sharp is None else ball.sharp.files
+    return ball.files
 
 
 def view_picture(image: Path, settings: Rig) -> "BallView":

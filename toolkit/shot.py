@@ -86,7 +86,8 @@ def load_shot(
         camera: a camera.toml.
         background: pictures of the same scene without the ball.
         ball_radius: metre.
-        ball_radius_std: its standard deviation, metre; 0 when nobody says.
+        ball_radius_std: its standard deviation, metre; else that of the ball.toml the radius is
+            from; 0 when nobody says.
         exposure: second; else the rig's, else that of the file.
         readout: second from the start of the first row's exposure to that of the last row's; 0, all
             rows at once, when nobody says.
@@ -192,6 +193,7 @@ class _Plan:
     rig: Path | None
     camera: Path
     ball_radius: float
+    ball_radius_std: float | None
     estimator_name: str
     candidates: Candidates
     settings: Rig
@@ -241,6 +243,7 @@ def _plan(shot: Path, rig: Path | None, settings: Rig) -> _Plan:
         rig=rig,
         camera=camera,
         ball_radius=float(radius),
+        ball_radius_std=ball.radius_std,
         estimator_name=name,
         candidates=make_candidates(name, ball, settings.options),
         settings=settings,
@@ -262,7 +265,7 @@ def _read_shot(plan: _Plan, roi: Roi | None, frame: int | None, stage: str) -> S
         background=background,
         camera=fit_camera(camera, image),
         ball_radius=plan.ball_radius,
-        ball_radius_std=float(settings.ball_radius_std or 0.0),
+        ball_radius_std=float(plan.ball_radius_std or 0.0),
         exposure=exposure,
         exposure_std=float(settings.exposure_std or 0.0),
         readout=readout,
@@ -277,7 +280,7 @@ def _read_shot(plan: _Plan, roi: Roi | None, frame: int | None, stage: str) -> S
             ball=tuple(_fingerprint(path) for path in plan.candidates.files),
         ),
         files=plan.files,
-        provenance=_provenance(settings, image),
+        provenance=_provenance(plan, image),
         read_time=time.perf_counter() - start,
     )
 
@@ -288,12 +291,13 @@ def _exposure(settings: Rig, image: LinearImage) -> float | None:
     return None if image.exposure is None else float(image.exposure[0])
 
 
-def _provenance(settings: Rig, image: LinearImage) -> dict[str, str]:
+def _provenance(plan: _Plan, image: LinearImage) -> dict[str, str]:
+    settings = plan.settings
     sources = {
         "camera": True,
         "response": not image.response_is_assumed,
         "ball_radius": True,
-        "ball_radius_std": settings.ball_radius_std is not None,
+        "ball_radius_std": plan.ball_radius_std is not None,
     }
     if _exposure(settings, image) is not None:
         sources |= {

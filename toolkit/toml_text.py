@@ -14,7 +14,7 @@ def to_toml(kind: str, table: Mapping[str, Any]) -> str:
     Args:
         kind: what the file describes, as `toolkit.files.read_toml` wants it.
         table: keys with text, finite numbers, booleans, or lists of them, also nested; a value that
-            is itself such a table becomes a section.
+            is itself such a table becomes a section, and a list of them as many of one name.
 
     Raises:
         ConfigError: naming the key, when a number is not finite.
@@ -26,11 +26,20 @@ def to_toml(kind: str, table: Mapping[str, Any]) -> str:
         names = ["a"]
     """
     lines = [f'schema = "toolkit.{kind}/1"']
-    lines += _lines({key: item for key, item in table.items() if not isinstance(item, Mapping)})
-    for name, section in table.items():
-        if isinstance(section, Mapping):  # after the plain keys, or it would swallow them
-            lines += ["", f"[{name}]", *_lines(section)]
+    lines += _lines({key: item for key, item in table.items() if not _sections(key, item)})
+    for name, item in table.items():  # after the plain keys, or they would be swallowed
+        for heading, section in _sections(name, item):
+            lines += ["", heading, *_lines(section)]
     return "\n".join(lines) + "\n"
+
+
+def _sections(name: str, item: Any) -> list[tuple[str, Mapping[str, Any]]]:
+    """Give the sections that a value makes, with their headings; none of a plain value."""
+    if isinstance(item, Mapping):
+        return [(f"[{name}]", item)]
+    if isinstance(item, list | tuple) and item and all(isinstance(one, Mapping) for one in item):
+        return [(f"[[{name}]]", one) for one in item]
+    return []
 
 
 def _lines(table: Mapping[str, Any]) -> list[str]:

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from toolkit.ball import Disc
 from toolkit.ball_file import BallFile, SharpSource, read_ball, write_ball
 from toolkit.ball_look import look_at_ball
 from toolkit.imaging import write_png16
+from toolkit.synthetic import LambertBall
 
 DISC = Disc(centre=(30.25, 28.5), semi_axes=(20.5, 20.25), angle=0.5, std=0.02)
 
@@ -32,6 +34,18 @@ def full(folder: Path) -> BallFile:
 def test_what_is_written_is_read_again(tmp_path):
     write_ball(tmp_path / "ball.toml", full(tmp_path))
     assert read_ball(tmp_path / "ball.toml") == full(tmp_path)
+
+
+def test_what_several_pictures_tell_is_kept(tmp_path):
+    one = full(tmp_path)
+    others = tuple(replace(one.sharp, image=tmp_path / f"{n}.png") for n in ("c", "d"))
+    std = ((0.01, 0.02, 0.03), (0.001, 0.002, 0.003))
+    ball = replace(one, radius_std=0.0002, colours_std=std, also=others)
+    write_ball(tmp_path / "ball.toml", ball)
+    again = read_ball(tmp_path / "ball.toml")
+    assert again == ball
+    names = [path.name for path in again.files]
+    assert names == ["ball.png", "a.png", "b.png", "c.png", "d.png"]
 
 
 def test_pictures_are_named_from_the_file(tmp_path):
@@ -86,6 +100,12 @@ std_px = 0.1
         ("plane_normal = [1, 1, 1]", "plane_normal has the length 1.73"),
         ("plane_normal = [0, true, 1]", "3 finite numbers are needed"),
         ("plane_normal_std = 0", "plane_normal_std is 0"),
+        ("radius_std_m = 0", "radius_std_m is 0"),
+        ("colours = [[1, 2, 3]]\ncolours_std = []\nalso = []", "[[also]] without [sharp]"),
+        ("colours = [[1, 2, 3]]\ncolours_std = [[1, 2, 3], [1, 2, 3]]", "one each"),
+        ("colours_std = [[1, 2]]", "3 finite numbers are needed"),
+        ("also = [3]\n" + SHARP, "[[also]] is 3"),
+        (SHARP + SHARP.replace("[sharp]", "[[also]]").replace("28", "nan"), "[[also]]: centre_px"),
         (SHARP + "colour = 1", "unknown key 'colour'"),
         (SHARP.replace('image = "i.png"\n', ""), "image missing; run `toolkit ball` again"),
         (SHARP.replace('["b.png"]', "[]"), "a list of paths is needed"),
@@ -147,3 +167,26 @@ def test_lost_or_exchanged_pictures_are_told(sharp_ball, tmp_path):
         write_png16(tmp_path / f"{name}.png", np.linspace(0.1, 0.9, 3 * 900).reshape(3, 30, 30))
     with pytest.raises(MismatchError, match="is not inside"):
         source.look()
+
+
+def test_looking_at_several_pictures_gives_their_mean(sharp_ball, tmp_path):
+    sources = []
+    for seed in (0, 1):
+        sharp, empty = sharp_ball(matt, radius_px=15, seed=seed)
+        names = [tmp_path / f"{kind}{seed}.png" for kind in ("i", "b")]
+        for name, picture in zip(names, (sharp.image, empty), strict=True):
+            write_png16(name, picture.rgb[0].numpy().astype(np.float64).clip(0))
+        sources.append(
+            SharpSource(image=names[0], background=(names[1],), disc=sharp.disc, response="linear")
+        )
+    write_ball(tmp_path / "ball.toml", BallFile(sharp=sources[0], also=(sources[1],)))
+    found = read_ball(tmp_path / "ball.toml").look()
+    alone = [source.look() for source in sources]
+    assert torch.allclose(found.rgb, (alone[0].rgb + alone[1].rgb) / 2)
+    assert found.disc == alone[0].disc
+    with pytest.raises(ConfigError, match="names no sharp picture"):
+        BallFile().look()
+
+
+def matt(colour):
+    return LambertBall(colour=(0.67, 0.49, 0.11))

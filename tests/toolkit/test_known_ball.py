@@ -48,6 +48,14 @@ def test_file_gives_radius_colours_and_plane(tmp_path):
     assert ball.files(("ball",)) == (tmp_path / "ball.toml",)
 
 
+def test_a_standard_deviation_belongs_to_its_own_radius(tmp_path):
+    path = ball_file(tmp_path, radius_std=0.0003)
+    assert know_ball(Rig(ball=path)).radius_std == 0.0003
+    assert know_ball(Rig(ball=path, ball_radius=0.05)).radius_std is None
+    assert know_ball(Rig(ball=path, ball_radius=0.05, ball_radius_std=0.001)).radius_std == 0.001
+    assert know_ball(Rig(ball=path, ball_radius_std=0.001)).radius_std == 0.001
+
+
 def test_one_colour_serves_as_the_colour(tmp_path):
     ball = know_ball(Rig(ball=ball_file(tmp_path, colours=(RED,), plane_normal=None)))
     assert ball.facts(("colour", "ball")) == {"colour": RED}

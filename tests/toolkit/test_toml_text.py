@@ -32,6 +32,13 @@ def test_a_name_that_is_no_text_still_gives_a_valid_file():
     assert tomllib.loads(to_toml("thing", {"name": "a\udc80\x7fb"}))["name"] == "a?\x7fb"
 
 
+def test_sections_and_several_of_one_name_come_back():
+    table = {"one": {"a": 1}, "b": 2, "many": [{"c": [1, 2]}, {"c": []}], "none": []}
+    read = tomllib.loads(to_toml("thing", table))
+    assert read.pop("schema") == "toolkit.thing/1"
+    assert read == table
+
+
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), [1.0, [float("-inf")]]])
 def test_numbers_that_are_not_finite_are_refused(value):
     with pytest.raises(ConfigError, match=r"'gain' holds .*only finite numbers"):
