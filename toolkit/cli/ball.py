@@ -1,27 +1,37 @@
-"""toolkit ball: a sharp picture of a ball in, ball.toml out."""
+"""toolkit ball: sharp pictures of a ball in, ball.toml out."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from toolkit.errors import ConfigError
+from toolkit.errors import CalibrationError, ConfigError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from toolkit.ball import Disc
     from toolkit.ball_colours import BallColours
-    from toolkit.ball_file import BallFile, SharpSource
-    from toolkit.types import LinearImage
+    from toolkit.learn_ball import LearntBall, Picture
+
+SCHEMA = "toolkit.learnt-ball/1"
 
 
 def ball(
     image: Annotated[
-        Path | None, typer.Option(metavar="F", help="A sharp picture of the resting ball.")
+        list[Path] | None,
+        typer.Option(
+            metavar="F", help="A sharp picture of the resting ball; repeat it for several."
+        ),
     ] = None,
     background: Annotated[
         list[Path] | None,
-        typer.Option(metavar="F", help="The same view without the ball; repeat it for several."),
+        typer.Option(
+            metavar="F",
+            help="The same view without the ball: one for each picture, or any number for all.",
+        ),
     ] = None,
     response: Annotated[
         str | None,
@@ -30,75 +40,88 @@ def ball(
     radius: Annotated[
         float | None, typer.Option(metavar="METRES", help="The ball's radius.")
     ] = None,
+    radius_std: Annotated[
+        float | None, typer.Option(metavar="METRES", help="Its standard deviation.")
+    ] = None,
+    camera: Annotated[
+        Path | None,
+        typer.Option(metavar="F", help="A camera.toml: sizes then tell radius or distance."),
+    ] = None,
+    distance: Annotated[
+        list[float] | None,
+        typer.Option(
+            metavar="METRES",
+            help="From the camera to the ball's centre: once for all pictures, or once for each.",
+        ),
+    ] = None,
+    distance_std: Annotated[
+        float | None,
+        typer.Option(metavar="METRES", help="Its standard deviation; 0.01 when not given."),
+    ] = None,
     overlay: Annotated[
-        Path | None, typer.Option(metavar="F.png", help="Draw the disc on the picture.")
+        Path | None,
+        typer.Option(metavar="F.png", help="Draw the disc on the picture that stands for all."),
     ] = None,
     out: Annotated[Path, typer.Option(metavar="FILE", help="Where the ball goes.")] = Path(
         "ball.toml"
     ),
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """Find a sharp ball's disc and colours, for estimators that need to know the ball.
+    """Find a sharp ball's size, colours and light, for estimators that need to know the ball.
 
     The ball rests in the light in which it will move, and the whole of it is seen.
     """
     image, background = _required(image, background)
-    _check_radius(radius)
     curve = Path(response) if response is not None and Path(response).is_file() else None
-    _check_outputs(out, overlay, [image, *background, *([curve] if curve else [])])
+    inputs = [*image, *background, *(path for path in (curve, camera) if path)]
+    _check_outputs(out, overlay, inputs)
 
-    from toolkit.ball_colours import learn_colours
-    from toolkit.ball_file import SharpSource, write_ball
-    from toolkit.disc import view_ball
-    from toolkit.imaging import read_background, read_image
+    from toolkit.ball_file import write_ball
+    from toolkit.learn_ball import Told, learn_ball
 
-    seen = read_image(image, response=response)
-    view = view_ball(seen, read_background(background, response=response))
-    colours = learn_colours([view])
-    disc = view.picture_disc
+    told = Told(
+        radius=radius,
+        radius_std=radius_std,
+        distances=tuple(distance or ()),
+        distance_std=distance_std,
+    )
+    try:
+        with _progress(len(image)) as on_picture:
+            learnt = learn_ball(
+                image,
+                background,
+                told=told,
+                camera=camera,
+                response=curve or response,
+                on_picture=on_picture,
+            )
+    except CalibrationError as error:
+        if json:
+            _print_json({"schema": SCHEMA, "status": "refused", "reason": str(error)})
+        raise
     if overlay is not None:
         from toolkit.report import write_disc_overlay
 
-        write_disc_overlay(overlay, seen, disc)
-    source = SharpSource(
-        image=image, background=tuple(background), disc=disc, response=curve or response
-    )
-    write_ball(out, _as_file(radius, colours, source))
-    told = [*_disc_lines(disc, view.clipped), *_colour_lines(colours), *_response_lines(seen)]
-    typer.echo("\n".join(told))
+        write_disc_overlay(overlay, learnt.reference.image, learnt.reference.disc)
+    write_ball(out, learnt.file)
+    if json:
+        _print_json(_plain(learnt, out))
+        return
+    for line in _lines(learnt):
+        typer.echo(_printable(line))
     typer.echo(f"wrote {_printable(str(out))}")
 
 
-def _required(image: Path | None, background: list[Path] | None) -> tuple[Path, list[Path]]:
-    if image is None or not background:
+def _required(
+    image: list[Path] | None, background: list[Path] | None
+) -> tuple[list[Path], list[Path]]:
+    if not image or not background:
         missing = [
             *([] if image else ["a sharp picture of the ball: --image F"]),
             *([] if background else ["the same view without the ball: --background F"]),
         ]
         raise ConfigError(f"the ball cannot be learnt without {'; and '.join(missing)}")
     return image, background
-
-
-def _check_radius(radius: float | None) -> None:
-    if radius is None:
-        return
-    from toolkit.shot_checks import RADIUS_LIMITS
-
-    if not RADIUS_LIMITS[0] <= radius <= RADIUS_LIMITS[1]:
-        span = f"from {RADIUS_LIMITS[0]:g} to {RADIUS_LIMITS[1]:g} m"
-        raise ConfigError(f"--radius is {radius:g} m; a number {span} is needed")
-
-
-def _as_file(radius: float | None, colours: "BallColours", source: "SharpSource") -> "BallFile":
-    from toolkit.ball_file import BallFile
-
-    return BallFile(
-        radius=radius,
-        kind=colours.kind,
-        colours=colours.pigments,
-        plane_normal=colours.normal,
-        plane_normal_std=colours.normal_std,
-        sharp=source,
-    )
 
 
 def _check_outputs(out: Path, overlay: Path | None, inputs: Sequence[Path]) -> None:
@@ -116,6 +139,46 @@ def _check_outputs(out: Path, overlay: Path | None, inputs: Sequence[Path]) -> N
         taken.add(path.resolve())
 
 
+@contextmanager
+def _progress(count: int) -> Iterator["Callable[[Path], None] | None"]:
+    """Show a bar on stderr while several pictures are read, on a terminal not asked to be quiet."""
+    import logging
+    import sys
+
+    is_silent = not (
+        sys.stderr.isatty() and logging.getLogger("toolkit").isEnabledFor(logging.INFO)
+    )
+    if is_silent or count == 1:
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("looking at pictures", total=count)
+        yield lambda path: bar.advance(task)
+
+
+def _lines(learnt: "LearntBall") -> list[str]:
+    """Say what was learnt, line by line."""
+    is_alone = len(learnt.pictures) + len(learnt.left_out) == 1
+    found: list[str] = []
+    for picture in learnt.pictures:
+        if not is_alone:
+            found.append(f"picture    {picture.path}")
+        found += [*_disc_lines(picture.disc, picture.view.clipped), *_size_lines(learnt, picture)]
+    left_out = [
+        f"left out   {one.path}, of {one.of}: {one.reason}"
+        if one.of != "all"
+        else f"left out   {one.path}: {one.reason.removeprefix(f'{one.path}: ')}"
+        for one in learnt.left_out
+    ]
+    shading = [] if is_alone else [f"shading    mean of {1 + len(learnt.file.also)} pictures"]
+    cautions = [f"caution    {caution}" for caution in learnt.cautions]
+    colours = _colour_lines(learnt.together.colours, learnt.together.std)
+    return [*found, *_radius_lines(learnt), *colours, *shading, *left_out, *cautions]
+
+
 def _disc_lines(disc: "Disc", clipped: float) -> list[str]:
     (x, y), (longer, shorter) = disc.centre, disc.semi_axes
     lines = [
@@ -127,15 +190,57 @@ def _disc_lines(disc: "Disc", clipped: float) -> list[str]:
     return lines
 
 
-def _colour_lines(colours: "BallColours") -> list[str]:
+def _size_lines(learnt: "LearntBall", picture: "Picture") -> list[str]:
+    """Say what one picture tells of size or distance."""
+    size, radius = picture.size, learnt.file.radius
+    if size is None:
+        if radius is None:
+            return []
+        longer, shorter = picture.disc.semi_axes
+        return [f"scale      {1000 * radius / (longer * shorter) ** 0.5:.4f} mm a px at the ball"]
+    if picture.distance is not None:
+        found = size.ratio * picture.distance
+        return [f"radius     {1000 * found:.2f} +/- {1000 * found * size.std:.2f} mm by its disc"]
+    if radius is not None:
+        away, share = radius / size.ratio, _share(size.std, (learnt.file.radius_std or 0) / radius)
+        return [f"distance   {away:.4f} +/- {away * share:.4f} m by its disc"]
+    return [
+        f"scale      {size.ratio:.6f} +/- {size.ratio * size.std:.6f}, radius over distance; give "
+        "--radius or --distance, and it tells the other"
+    ]
+
+
+def _share(*parts: float) -> float:
+    from math import hypot
+
+    return hypot(*parts)
+
+
+def _radius_lines(learnt: "LearntBall") -> list[str]:
+    found = learnt.radius
+    if found is None:
+        return []
+    count = len(found.by_picture) - len(found.contradicting)
+    pictures = "1 picture" if count == 1 else f"{count} pictures"
+    return [
+        f"radius     {1000 * found.radius:.2f} +/- {1000 * found.std:.2f} mm by {pictures}, "
+        f"distances taken for known within {1000 * learnt.distance_std:g} mm"
+    ]
+
+
+def _colour_lines(colours: "BallColours", std: Sequence[Sequence[float]]) -> list[str]:
     lines = [f"mean       {_text(colours.mean)} linear R,G,B, sensor white = 1"]
     if colours.kind == "plane":
-        lines += [f"pigment    {_text(pigment)}" for pigment in colours.pigments]
+        lines += [
+            f"pigment    {_text(pigment)} +/- {_text(doubt)}"
+            for pigment, doubt in zip(colours.pigments, std, strict=True)
+        ]
         lines.append(
             f"plane      normal {_text(colours.normal or ())} +/- {colours.normal_std or 0:.4f} rad"
             ": two pigments and their shades"
         )
     elif colours.kind == "line":
+        lines[0] += f"; +/- {_text(std[0])}"
         lines.append(
             "line       one colour and its shades, or black and white: two pigments cannot be "
             "told, so use uniform or known-shading, not two-colour"
@@ -148,13 +253,56 @@ def _colour_lines(colours: "BallColours") -> list[str]:
     return [*lines, f"off        {colours.off:.1%} of the pixels are off it (highlights, marks)"]
 
 
-def _response_lines(image: "LinearImage") -> list[str]:
-    if not image.response_is_assumed:
-        return []
-    return [
-        f"caution    the response '{image.response}' is only assumed, and a wrong one shifts the "
-        "colours; use RAW, or name it with --response"
-    ]
+def _plain(learnt: "LearntBall", out: Path) -> dict[str, Any]:
+    file, colours = learnt.file, learnt.together.colours
+    return {
+        "schema": SCHEMA,
+        "status": "ok",
+        "reason": None,
+        "out": str(out),
+        "radius_m": file.radius,
+        "radius_std_m": file.radius_std,
+        "radius_found_m": None if learnt.radius is None else learnt.radius.radius,
+        "radius_found_std_m": None if learnt.radius is None else learnt.radius.std,
+        "kind": file.kind,
+        "mean_colour": colours.mean,
+        "colours": file.colours,
+        "colours_std": file.colours_std,
+        "plane_normal": file.plane_normal,
+        "plane_normal_std": file.plane_normal_std,
+        "off": colours.off,
+        "pictures": [_plain_picture(learnt, one) for one in learnt.pictures],
+        "left_out": [
+            {"path": str(one.path), "of": one.of, "reason": one.reason} for one in learnt.left_out
+        ],
+        "cautions": learnt.cautions,
+    }
+
+
+def _plain_picture(learnt: "LearntBall", picture: "Picture") -> dict[str, Any]:
+    disc, size, sharp = picture.disc, picture.size, learnt.file.sharp
+    shading = {source.image for source in (*([sharp] if sharp else []), *learnt.file.also)}
+    return {
+        "path": str(picture.path),
+        "background": [str(path) for path in picture.background],
+        "centre_px": disc.centre,
+        "semi_axes_px": disc.semi_axes,
+        "angle_rad": disc.angle,
+        "outline_std_px": disc.std,
+        "clipped": picture.view.clipped,
+        "distance_m": picture.distance,
+        "radius_over_distance": None if size is None else size.ratio,
+        "radius_over_distance_std": None if size is None else size.ratio * size.std,
+        "is_in_shading": picture.path in shading,
+    }
+
+
+def _print_json(table: dict[str, Any]) -> None:
+    from json import dumps
+
+    from toolkit.plain_data import to_plain
+
+    typer.echo(dumps(to_plain(table), allow_nan=False))
 
 
 def _text(values: Sequence[float]) -> str:

@@ -1,3 +1,4 @@
+import json
 from pathlib import Path
 
 import cv2
@@ -6,9 +7,10 @@ import pytest
 import torch
 
 from toolkit.ball_file import read_ball
+from toolkit.camera_file import write_camera
 from toolkit.cli.main import main
 from toolkit.imaging import write_png16
-from toolkit.synthetic import LitBall, StripedBall
+from toolkit.synthetic import LambertBall, LitBall, StripedBall, benchmark_scene
 
 
 def striped(colour):
@@ -36,7 +38,7 @@ def test_table_and_file(words, sharp_ball, tmp_path, capsys):
     assert main([*words, *more]) == 0
     out, err = capsys.readouterr()
     assert [line.split()[0] for line in out.splitlines()] == [
-        *("disc", "mean", "pigment", "pigment", "plane", "off", "wrote")
+        *("disc", "scale", "mean", "pigment", "pigment", "plane", "off", "wrote")
     ]
     assert err == ""
     ball = read_ball(tmp_path / "ball.toml")
@@ -162,3 +164,77 @@ def test_inputs_are_never_replaced(words, capsys):
     words[-1] = words[2]
     assert main(words) == 2
     assert "an input" in capsys.readouterr().err
+
+
+@pytest.fixture
+def three(sharp_ball, tmp_path):
+    """Three pictures of a matt ball, each over a background of its own, the last in other light."""
+    line = ["ball"]
+    for seed, level in ((0, 1.0), (1, 1.0), (2, 0.8)):
+        sharp, empty = sharp_ball(matt, seed=seed)
+        light = sharp.image.rgb[0]
+        light = torch.where(sharp.alpha > 0.01, level * light, light)
+        line += ["--image", str(write(tmp_path / f"s{seed}.png", light))]
+        line += ["--background", str(write(tmp_path / f"b{seed}.png", empty.rgb[0]))]
+    return [*line, "--out", str(tmp_path / "ball.toml")]
+
+
+def matt(colour):
+    return LambertBall(colour=(0.67, 0.49, 0.11))
+
+
+def test_several_pictures_are_told_one_by_one(three, tmp_path, capsys):
+    assert main([*three, "--radius", "0.05", "--radius-std", "0.0001"]) == 0
+    out, err = capsys.readouterr()
+    assert [line.split()[0] for line in out.splitlines()] == [
+        *(3 * ["picture", "disc", "scale"]),
+        *("mean", "line", "off", "shading", "left", "wrote"),
+    ]
+    assert "shading    mean of 2 pictures" in out
+    assert "s2.png, of colours: is 0.80 times as bright as the others" in out
+    assert err == ""
+    ball = read_ball(tmp_path / "ball.toml")
+    assert (ball.radius, ball.radius_std, len(ball.also)) == (0.05, 0.0001, 1)
+
+
+def test_json_is_one_object(three, capsys):
+    assert main([*three, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["status"], told["kind"], len(told["pictures"])) == ("ok", "line", 3)
+    assert [one["is_in_shading"] for one in told["pictures"]].count(True) == 2
+    (left_out,) = told["left_out"]
+    assert (Path(left_out["path"]).name, left_out["of"]) == ("s2.png", "colours")
+    assert told["radius_m"] is None
+    assert len(told["colours"]) == len(told["colours_std"]) == 1
+
+
+def test_a_refusal_is_json_too(words, capsys):
+    words[2] = words[4]
+    assert main([*words, "--json"]) == 5
+    out, err = capsys.readouterr()
+    assert json.loads(out)["status"] == "refused"
+    assert "no ball found" in json.loads(out)["reason"]
+    assert err.count("\n") == 1
+
+
+def test_size_by_the_lens_is_told(words, tmp_path, capsys):
+    scene = benchmark_scene(width_px=60, length_widths=1, distance_R=15)
+    write_camera(tmp_path / "camera.toml", scene.camera)
+    lens = [*words, "--camera", str(tmp_path / "camera.toml")]
+    assert main(lens) == 0
+    assert "scale      0.066" in capsys.readouterr().out
+    assert main([*lens, "--radius", "0.05"]) == 0
+    assert "distance   0.7" in capsys.readouterr().out
+    assert main([*lens, "--distance", "0.75", "--distance-std", "0.002"]) == 0
+    out = capsys.readouterr().out
+    assert "mm by 1 picture, distances taken for known within 2 mm" in out
+    assert "caution    the camera file tells no covariance" in out
+    ball = read_ball(tmp_path / "ball.toml")
+    assert abs(ball.radius - 0.05) < 2 * ball.radius_std
+
+
+def test_failure_leaves_the_older_file(words, tmp_path, capsys):
+    (tmp_path / "ball.toml").write_text("older\n")
+    assert main([*words, "--distance", "0.7"]) == 2
+    assert "give --camera F" in capsys.readouterr().err
+    assert (tmp_path / "ball.toml").read_text() == "older\n"
