@@ -22,6 +22,16 @@ def wizard(
     folder: Annotated[
         Path, typer.Option(metavar="DIR", help="Where rig.toml and all that is made go.")
     ] = Path(),
+    make_board: Annotated[
+        bool | None,
+        typer.Option("--make-board/--no-make-board", help="Write a board to print."),
+    ] = None,
+    kind: Annotated[
+        str | None, typer.Option(metavar="KIND", help="Of the board: checker or charuco.")
+    ] = None,
+    paper: Annotated[
+        str | None, typer.Option(metavar="NAME", help="For the board: a4, letter or a3.")
+    ] = None,
     images: Annotated[
         list[str] | None,
         typer.Option(metavar="PHOTO...", help="Photos of the board, or their folder."),
@@ -34,6 +44,9 @@ def wizard(
     ] = None,
     square: Annotated[
         str | None, typer.Option(metavar="M", help="Side of a square; not needed.")
+    ] = None,
+    model: Annotated[
+        str | None, typer.Option(metavar="NAME", help="auto, pinhole, rational or fisheye.")
     ] = None,
     response: Annotated[
         str | None,
@@ -81,10 +94,14 @@ def wizard(
     this one stopped, and does again only what changed. Without a terminal nothing is asked.
     """
     given = _given(
+        make_board=() if make_board is None else ("yes" if make_board else "no",),
+        board_kind=_word(kind),
+        paper=_word(paper),
         images=_photos(images, more),
         camera=_word(camera),
         board=_word(board),
         square=_word(square),
+        model=_word(model),
         response=_word(response),
         background=tuple(background or ()),
         exposure=_word(exposure),

@@ -3,18 +3,21 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
+from calibration.board import BoardRequest
+from calibration.wizard.board_step import BOARD_KIND
 from calibration.wizard.desk import Desk, GoBackError, Outcome
 from calibration.wizard.memory import key_of
 from calibration.wizard.photos import CAMERA_NAME, PHOTOS, known_camera
 from calibration.wizard.photos import STEP as PHOTOS_STEP
 from calibration.wizard.quantities import parse_length
-from calibration.wizard.questions import Question, Words, optional
+from calibration.wizard.questions import Question, Words, one_of, optional
 from toolkit.camera_file import read_camera, write_camera
 
 if TYPE_CHECKING:
     from calibration.intrinsics import Calibration
 
 STEP = "lens"
+REPORT_NAME = "calibration.html"
 T = TypeVar("T")
 
 
@@ -27,7 +30,7 @@ def _board(words: Words) -> tuple[int, int] | None:
 BOARD = Question(
     name="board",
     flag="--board CxR",
-    text="Inner corners of the board, e.g. 9x6; none: found from the photos",
+    text="Inner corners of the board, e.g. 9x6 (of ChArUco: squares); none: the photos tell",
     parse=_board,
     default=("none",),
 )
@@ -37,6 +40,13 @@ SQUARE = Question(
     text="Side of a square, e.g. 25 mm; none: not known, nor needed for a measurement",
     parse=optional(parse_length),
     default=("none",),
+)
+MODEL = Question(
+    name="model",
+    flag="--model auto|pinhole|rational|fisheye",
+    text="The lens: auto, pinhole, rational or fisheye",
+    parse=one_of("auto", "pinhole", "rational", "fisheye"),
+    default=("auto",),
 )
 
 
@@ -51,19 +61,26 @@ def calibrate_lens(desk: Desk) -> Outcome:
     camera = known_camera(desk)
     if camera is not None:
         lens = read_camera(camera)
-        told = f"{lens.width}x{lens.height} px, {lens.model}, fx {lens.fx:.1f} px"
-        return Outcome(status="skipped", told=(told,))
-    photos = desk.ask(PHOTOS)
-    size, square = _known(desk, BOARD), _known(desk, SQUARE)
-    key = key_of({"board": size, "square": square}, photos)
+        known = f"{lens.width}x{lens.height} px, {lens.model}, fx {lens.fx:.1f} px"
+        return Outcome(status="skipped", told=(known,))
+    from calibration.report.collect import write_report
+
+    photos, square = desk.ask(PHOTOS), _known(desk, SQUARE)
+    size, kind = _known(desk, BOARD), _known(desk, BOARD_KIND)
+    model = _known(desk, MODEL) or "auto"
+    key = key_of({"board": size, "kind": kind, "square": square, "model": model}, photos)
     if desk.memory.is_done(STEP, key):
         return desk.kept(STEP)
-    out = desk.folder / CAMERA_NAME
+    out, page = desk.folder / CAMERA_NAME, desk.folder / REPORT_NAME
     desk.check_writable(out, instead=f"use it: --camera {out}")
-    result = _calibrate(desk, photos, size, square)
+    desk.check_writable(page)
+    request = BoardRequest(kind=kind, size=size, square_m=square)
+    result = _calibrate(desk, photos, request, model)
     names = [view.path.name for view in result.used]
     write_camera(out, result.camera, rms_px=result.rms_px, views=len(names), images=names)
-    outcome = desk.done(STEP, key, told=_told(result), outputs=(out,))
+    write_report(page, result, square=square)
+    told = [*_told(result), f"wrote {out}, and {page} to look at in a browser"]
+    outcome = desk.done(STEP, key, told=told, outputs=(out, page))
     _offer_more_photos(desk, result, outcome)
     return outcome
 
@@ -80,26 +97,30 @@ def _known(desk: Desk, question: Question[T]) -> T | None:
 
 
 def _calibrate(
-    desk: Desk, photos: tuple[Path, ...], board: tuple[int, int] | None, square: float | None
+    desk: Desk, photos: tuple[Path, ...], request: BoardRequest, model: str
 ) -> "Calibration":
-    from calibration.corners import find_boards
+    from calibration.corners import search_boards
     from calibration.intrinsics import calibrate_views, check_request
 
-    check_request(photos, board, square)
+    check_request(photos, request.size, request.square_m, model)
     with desk.progress("reading photos", len(photos)) as on_photo:
-        views = find_boards(photos, board=board, on_photo=on_photo)
-    return calibrate_views(views, square=square)
+        found = search_boards(photos, board=request, on_photo=on_photo)
+    return calibrate_views(
+        found.views, square=request.square_m, model=model, cautions=found.cautions
+    )
 
 
 def _told(result: "Calibration") -> list[str]:
     """Say how good the camera is, which photos were left out and why, and what would help."""
     left_out = [view for view in result.views if not view.is_used]
     camera = result.camera
+    advice = [f"it would help: {result.advice_text}"] if result.advice else []
     return [
         f"{len(result.used)} of {len(result.views)} photos used, {camera.model}, fx {camera.fx:.1f}"
         f" px, the corners within {result.rms_px:.2f} px (RMS)",
         *(f"left out: {view.path}: {view.reason}" for view in left_out),
         *(f"caution: {caution.message}" for caution in result.warnings),
+        *advice,
     ]
 
 

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from calibration.wizard.ball_step import KIND, RADIUS, RADIUS_STD, SHARP, learn_ball
-from calibration.wizard.board_step import MAKE, make_board
+from calibration.wizard.board_step import BOARD_KIND, MAKE, PAPER, make_board
 from calibration.wizard.check_shot import SHOT, check_shot
 from calibration.wizard.desk import Desk, GoBackError, Outcome
-from calibration.wizard.lens import BOARD, calibrate_lens
+from calibration.wizard.lens import BOARD, MODEL, SQUARE, calibrate_lens
 from calibration.wizard.light import RESPONSE, choose_response
 from calibration.wizard.photos import CAMERA, CAMERA_NAME, PHOTOS, choose_photos
 from calibration.wizard.questions import Question
@@ -29,13 +29,15 @@ class Step:
 
 
 STEPS = (
-    Step(name="board", title="A board to photograph", run=make_board, asks=(MAKE,)),
+    Step(
+        name="board", title="A board to photograph", run=make_board, asks=(MAKE, BOARD_KIND, PAPER)
+    ),
     Step(name="photos", title="Photos of the board", run=choose_photos, asks=(PHOTOS, CAMERA)),
     Step(
         name="lens",
         title="The camera's lens",
         run=calibrate_lens,
-        asks=(PHOTOS, CAMERA, BOARD),
+        asks=(PHOTOS, CAMERA, BOARD, SQUARE, MODEL),
         back_to="photos",
     ),
     Step(name="response", title="From brightness to light", run=choose_response, asks=(RESPONSE,)),

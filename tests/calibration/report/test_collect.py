@@ -10,6 +10,7 @@ import pytest
 from calibration.intrinsics import calibrate_views
 from calibration.report.collect import collect, write_report
 from calibration.report.page import render_page
+from toolkit.imaging import write_png16
 from toolkit.response import Response, SampledCurve
 
 VOID = {"meta", "img", "br"}
@@ -48,9 +49,10 @@ def calibration(make_views, tilted_poses):
 
 
 @pytest.fixture
-def left_out(calibration, photos, tmp_path):
+def left_out(calibration, tmp_path):
     """The same with a blurred photo that can be shown and a damaged one that cannot."""
-    seen = replace(calibration.views[0], path=photos.paths[0], reason="blurred along y")
+    write_png16(tmp_path / "seen.png", np.full((3, 480, 640), 0.3))
+    seen = replace(calibration.views[0], path=tmp_path / "seen.png", reason="blurred along y")
     gone = replace(calibration.views[1], path=tmp_path / "<b>x.jpg", reason="cannot be read")
     return replace(calibration, views=(*calibration.views[2:], seen, gone))
 

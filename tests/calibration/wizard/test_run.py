@@ -204,11 +204,30 @@ def test_alone_each_mistake_ends_the_run_with_its_own_error(
     assert not (scene / "rig.toml").exists()
 
 
-def test_a_background_of_another_size_is_named(done, make_desk, photos):
-    scene = done
-    given = {"background": (str(photos.paths[0]),)}
-    with pytest.raises(MismatchError, match=r"view0.png does not fit .*camera.toml"):
-        run_wizard(make_desk(scene, given=given, alone=True))
+def test_a_background_of_another_size_is_named(done, make_desk):
+    write_png16(done / "small.png", np.random.default_rng(0).uniform(0, 1, (3, 48, 64)))
+    given = {"background": ("small.png",)}
+    with pytest.raises(MismatchError, match=r"small.png does not fit .*camera.toml"):
+        run_wizard(make_desk(done, given=given, alone=True))
+
+
+@pytest.mark.parametrize(("kind", "name"), [("checker", "9x6 inner"), ("charuco", "ChArUco")])
+def test_a_board_is_written_where_there_is_none(tmp_path, make_desk, kind, name):
+    desk = make_desk(tmp_path, "yes", kind[:3], "letter")
+    with pytest.raises(EOFError, match="Photos of the board"):  # they are to be taken now
+        run_wizard(desk)
+    assert (tmp_path / "board.pdf").read_bytes().startswith(b"%PDF")
+    (line, *_) = desk.memory.steps["board"].told
+    assert name in line
+    assert "on letter" in line
+    before = (tmp_path / "board.pdf").stat().st_mtime_ns
+    with pytest.raises(EOFError, match="Photos of the board"):
+        run_wizard(make_desk(tmp_path))
+    assert (tmp_path / "board.pdf").stat().st_mtime_ns == before
+
+
+def test_a_report_of_the_camera_is_written(done):
+    assert "<h1>Calibration report</h1>" in (done / "calibration.html").read_text()
 
 
 def test_every_step_is_remembered_under_its_name(done):
