@@ -16,6 +16,8 @@ Plain = dict[str, "Plain"] | list["Plain"] | str | float | int | bool | None
 
 _INTEGER = re.compile(r"[-+]?\d{1,18}")
 _FLOAT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
+_QUOTED = re.compile(r"(?<![^\s\[{,:-])(?:\"(?:\\.|[^\"\\])*\"|'(?:''|[^'])*')")
+_OPEN = re.compile(r"(?<![^\s\[{,:-])['\"]")
 _WORDS: dict[str, Plain] = {"": None, "~": None, "null": None, "true": True, "false": False}
 _WORDS |= {".nan": float("nan"), ".inf": float("inf"), "-.inf": float("-inf")}
 
@@ -52,6 +54,8 @@ def _lines(text: str) -> list[_Line]:
     depth = 0
     for number, raw in enumerate(text.splitlines(), start=1):
         bare = _without_comment(raw).rstrip()
+        if _OPEN.search(_quoted_spans(bare)):
+            raise ConfigError(f"line {number} opens a quote that does not end on it")
         words = bare.strip()
         if not words or (depth == 0 and (words in ("---", "...") or bare.startswith("%"))):
             continue
@@ -68,9 +72,11 @@ def _lines(text: str) -> list[_Line]:
 
 
 def _quoted_spans(text: str) -> str:
-    """Give the text with what stands within quotes blotted out, of the same length."""
-    blot = re.compile(r"\"(?:\\.|[^\"\\])*\"|'(?:''|[^'])*'")
-    return blot.sub(lambda match: "q" * len(match[0]), text)
+    """Give the text with what stands within quotes blotted out, of the same length.
+
+    A quote begins where a value may; the apostrophe of "it's" is a letter.
+    """
+    return _QUOTED.sub(lambda match: "q" * len(match[0]), text)
 
 
 def _without_comment(text: str) -> str:
@@ -151,42 +157,60 @@ def _key(text: str) -> tuple[str, str] | None:
 
 def _flow(line: _Line, text: str) -> Plain:
     """Read a value that stands on one line."""
-    if text[0] in "&*!|>{":
-        raise _refusal(line, f"begins a value with '{text[0]}', which is not read here")
-    if not text.startswith("["):
-        return _scalar(text)
-    value, rest = _list(line, text, 0)
+    value, rest = _item(line, text, 0)
     if rest.strip():
-        raise _refusal(line, "goes on after a list has ended")
+        raise _refusal(line, "goes on after its value has ended")
     return value
 
 
-def _list(line: _Line, text: str, depth: int) -> tuple[Plain, str]:
-    """Read a list in brackets, and give what follows it."""
+def _item(line: _Line, text: str, depth: int) -> tuple[Plain, str]:
+    """Read a value, within brackets where `depth` says so, and give what follows it."""
     if depth > DEEPEST:
         raise _refusal(line, f"is nested more than {DEEPEST} deep")
+    if text[:1] in ("[", "{"):
+        return _list(line, text, depth) if text[0] == "[" else _table(line, text, depth)
+    if text[:1] in tuple("&*!|>%@`"):
+        raise _refusal(line, f"begins a value with '{text[0]}', which is not read here")
+    match = re.match(r"[^,\[\]{}]*", _quoted_spans(text)) if depth else None
+    end = len(text) if match is None else match.end()
+    return _scalar(text[:end].strip()), text[end:]
+
+
+def _list(line: _Line, text: str, depth: int) -> tuple[Plain, str]:
     items: list[Plain] = []
     rest = text[1:].lstrip()
     while not rest.startswith("]"):
-        if rest.startswith("["):
-            item, rest = _list(line, rest, depth + 1)
-        else:
-            match = re.match(r"[^,\[\]]+", _quoted_spans(rest))
-            if match is None:
-                raise _refusal(line, "is no list in brackets")
-            item, rest = _flow(line, rest[: match.end()].strip() or "~"), rest[match.end() :]
+        item, rest = _item(line, rest, depth + 1)
         items.append(item)
-        rest = rest.lstrip()
-        if rest.startswith(","):
-            rest = rest[1:].lstrip()
-        elif not rest.startswith("]"):
-            raise _refusal(line, "is no list in brackets")
+        rest = _after_comma(line, rest, "]")
     return items, rest[1:]
+
+
+def _table(line: _Line, text: str, depth: int) -> tuple[Plain, str]:
+    table: dict[str, Plain] = {}
+    rest = text[1:].lstrip()
+    while not rest.startswith("}"):
+        parts = _key(rest)
+        if parts is None or parts[0] in table:
+            raise _refusal(line, "has no 'key: value', or a key twice, in its brackets")
+        table[parts[0]], rest = _item(line, parts[1], depth + 1)
+        rest = _after_comma(line, rest, "}")
+    return table, rest[1:]
+
+
+def _after_comma(line: _Line, text: str, end: str) -> str:
+    """Give what comes after a comma; the closing bracket stays."""
+    rest = text.lstrip()
+    if rest.startswith(","):
+        return rest[1:].lstrip()
+    if not rest.startswith(end):
+        raise _refusal(line, "has brackets that do not match")
+    return rest
 
 
 def _scalar(text: str) -> Plain:
     if len(text) > 1 and text[0] == text[-1] and text[0] in "'\"":
-        return text[1:-1]
+        return text[1:-1].replace("''", "'") if text[0] == "'" else text[1:-1]
     if text.lower() in _WORDS:
         return _WORDS[text.lower()]
     if _INTEGER.fullmatch(text):
