@@ -69,7 +69,8 @@ def wizard(
         str | None, typer.Option(metavar="METRES", help="Its standard deviation.")
     ] = None,
     ball_image: Annotated[
-        str | None, typer.Option(metavar="F", help="A sharp picture of the resting ball, or none.")
+        list[str] | None,
+        typer.Option(metavar="F", help="A sharp picture of the resting ball; repeatable; or none."),
     ] = None,
     kind_of_ball: Annotated[
         str | None, typer.Option(metavar="KIND", help="plain, shaded, two-colour or unsure.")
@@ -108,7 +109,7 @@ def wizard(
         readout=_word(readout),
         radius=_word(radius),
         radius_std=_word(radius_std),
-        ball_image=_word(ball_image),
+        ball_image=tuple(ball_image or ()),
         kind_of_ball=_word(kind_of_ball),
         shot=_word(shot),
     )

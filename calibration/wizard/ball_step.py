@@ -1,21 +1,31 @@
-"""The wizard's sixth step: the ball's radius and, where there is one, a sharp picture of it."""
+"""The wizard's sixth step: the ball's radius and, where there is one, sharp pictures of it."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from calibration.wizard.desk import Desk, Outcome
 from calibration.wizard.memory import key_of
-from calibration.wizard.named_files import find_file, split_words
+from calibration.wizard.named_files import find_pictures, split_words
 from calibration.wizard.quantities import parse_length, parse_radius
 from calibration.wizard.questions import Question, Words, one_of, optional
 from calibration.wizard.scene import BACKGROUND, response_of
 from toolkit.candidates import AUTO
 from toolkit.errors import ConfigError
 
+if TYPE_CHECKING:
+    from toolkit.learn_ball import LearntBall, Told
+
 STEP = "ball"
 BALL_NAME = "ball.toml"
+COLOURS = {
+    "plane": "two pigments and their shades",
+    "line": "one and its shades, or black and white",
+    "solid": "more than two, or gloss",
+}
+"""In words, by the kind of `BallColours`."""
 HOW_TO = (
-    "A sharp picture of the resting ball helps where it is not of one colour, or unevenly lit: in",
-    "the light of the shots, before the same background, the whole of it in view.",
+    "Sharp pictures of the resting ball help where it is not of one colour, or unevenly lit. Take",
+    "them in the light of the shots, before the same background, the whole ball in view.",
 )
 
 
@@ -23,8 +33,8 @@ def _radius(words: Words) -> float:
     return parse_radius(" ".join(words))
 
 
-def _picture(words: Words) -> Path | None:
-    return None if words in (("none",), ("",), ()) else find_file(words)
+def _pictures(words: Words) -> tuple[Path, ...]:
+    return () if words in (("none",), ("",), ()) else find_pictures(words)
 
 
 RADIUS = Question(
@@ -42,9 +52,9 @@ RADIUS_STD = Question(
 )
 SHARP = Question(
     name="ball_image",
-    flag="--ball-image F",
-    text="A sharp picture of the resting ball; none: there is none",
-    parse=_picture,
+    flag="--ball-image F...",
+    text="Sharp pictures of the resting ball; none: there are none",
+    parse=_pictures,
     default=("none",),
     split=split_words,
     is_path=True,
@@ -61,14 +71,14 @@ KIND = Question(
 
 
 def learn_ball(desk: Desk) -> Outcome:
-    """Ask for the radius, and learn the ball's looks from a sharp picture into ball.toml.
+    """Ask for the radius, and learn the ball's looks from sharp pictures into ball.toml.
 
     Raises:
         ConfigError: when nobody tells the radius, or ball.toml is somebody else's.
-        CalibrationError: when the sharp picture shows no ball that can be used.
-        ImageError: when it cannot be read.
+        CalibrationError: when no sharp picture shows a ball that can be used.
+        ImageError: when a picture cannot be read.
     """
-    radius, std = desk.ask(RADIUS), desk.ask(RADIUS_STD)
+    radius, std = desk.ask(RADIUS), desk.ask(RADIUS_STD) or None
     if std is not None and std >= radius:
         raise ConfigError(f"a radius of {radius:g} m cannot be unsure by {std:g} m; give it again")
     if not desk.asker.knows(SHARP.name):
@@ -76,18 +86,19 @@ def learn_ball(desk: Desk) -> Outcome:
             desk.tell(line)
     sharp = desk.ask(SHARP)
     told = [f"radius {1000 * radius:g} mm" + (f" +/- {1000 * std:g} mm" if std else "")]
-    if sharp is None:
-        key = key_of({"radius": radius, "std": std})
-        return (
-            desk.kept(STEP) if desk.memory.is_done(STEP, key) else desk.done(STEP, key, told=told)
-        )
-    desk.ask(KIND)
-    return _learn_looks(desk, sharp, radius, std, told)
+    if sharp:
+        from toolkit.learn_ball import Told
+
+        return _learn_looks(desk, sharp, Told(radius=radius, radius_std=std), told)
+    key = key_of({"radius": radius, "std": std})
+    if desk.memory.is_done(STEP, key):
+        return desk.kept(STEP)
+    return desk.done(STEP, key, told=told)
 
 
 def has_looks(desk: Desk) -> bool:
-    """Whether ball.toml was made from a sharp picture."""
-    return desk.asker.knows(SHARP.name) and desk.ask(SHARP) is not None
+    """Whether ball.toml was made from sharp pictures."""
+    return desk.asker.knows(SHARP.name) and bool(desk.ask(SHARP))
 
 
 def estimator_of(desk: Desk) -> str | None:
@@ -97,45 +108,42 @@ def estimator_of(desk: Desk) -> str | None:
     return ESTIMATORS.get(desk.ask(KIND), AUTO)
 
 
-def _learn_looks(
-    desk: Desk, sharp: Path, radius: float, std: float | None, told: list[str]
-) -> Outcome:
-    pictures, response = desk.ask(BACKGROUND), response_of(desk)
+def _learn_looks(desk: Desk, sharp: tuple[Path, ...], known: "Told", told: list[str]) -> Outcome:
+    pictures, response, kind = desk.ask(BACKGROUND), response_of(desk), desk.ask(KIND)
     curve = Path(response) if response and Path(response).is_file() else None
-    answers = {"radius": radius, "std": std, "response": response, "kind": desk.ask(KIND)}
-    key = key_of(answers, [sharp, *pictures, *([curve] if curve else [])])
+    answers = {"radius": known.radius, "std": known.radius_std, "response": response, "kind": kind}
+    key = key_of(answers, [*sharp, *pictures, *([curve] if curve else [])])
     if desk.memory.is_done(STEP, key):
         return desk.kept(STEP)
+    from toolkit.ball_file import write_ball
+    from toolkit.learn_ball import learn_ball
+
     out = desk.folder / BALL_NAME
     desk.check_writable(out)
-    told += _write_ball(out, sharp, pictures, curve or response, radius)
-    return desk.done(STEP, key, told=told, outputs=(out,))
+    with desk.progress("looking at pictures", len(sharp)) as on_picture:
+        learnt = learn_ball(
+            sharp, pictures, told=known, response=curve or response, on_picture=on_picture
+        )
+    _check_kind(kind, learnt)
+    write_ball(out, learnt.file)
+    return desk.done(STEP, key, told=[*told, *_seen(learnt)], outputs=(out,))
 
 
-def _write_ball(
-    out: Path, sharp: Path, pictures: tuple[Path, ...], response: str | Path | None, radius: float
-) -> list[str]:
-    """Find the ball, write ball.toml, and say what was seen."""
-    from toolkit.ball_colours import learn_colours
-    from toolkit.ball_file import BallFile, SharpSource, write_ball
-    from toolkit.disc import view_ball
-    from toolkit.imaging import read_background, read_image
+def _check_kind(kind: str, learnt: "LearntBall") -> None:
+    """Refuse two colours where the pictures show none, before every shot fails for it."""
+    seen = learnt.together.colours.kind
+    if kind == "two-colour" and seen != "plane":
+        raise ConfigError(
+            f"the ball is said to have two colours, but its pictures show {COLOURS[seen]}; answer"
+            " shaded or unsure (--kind-of-ball)"
+        )
 
-    view = view_ball(
-        read_image(sharp, response=response), read_background(pictures, response=response)
-    )
-    colours, disc = learn_colours([view]), view.picture_disc
-    ball = BallFile(
-        radius=radius,
-        kind=colours.kind,
-        colours=colours.pigments,
-        plane_normal=colours.normal,
-        plane_normal_std=colours.normal_std,
-        sharp=SharpSource(image=sharp, background=pictures, disc=disc, response=response),
-    )
-    write_ball(out, ball)
-    (x, y), (longer, shorter) = disc.centre, disc.semi_axes
+
+def _seen(learnt: "LearntBall") -> list[str]:
+    """Say in how many pictures the ball was found, its colours, and what was left out."""
+    colours = learnt.together.colours
     return [
-        f"found at ({x:.0f}, {y:.0f}) px, {longer + shorter:.0f} px wide; its colours: "
-        f"{len(colours.pigments)} ({colours.kind})"
+        f"found in {len(learnt.pictures)} sharp pictures, its colours {COLOURS[colours.kind]}",
+        *(f"left out of {one.of}: {one.path}: {one.reason}" for one in learnt.left_out),
+        *(f"caution: {caution}" for caution in learnt.cautions),
     ]

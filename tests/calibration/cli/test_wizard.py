@@ -134,7 +134,7 @@ def test_a_newcomer_gets_from_an_empty_folder_to_a_measurement(scene, talk, caps
     person.wait_for("! an answer is needed; Ctrl-C stops")
     person.answer("The ball's radius", "0,05")
     person.answer("How sure is that", "0,2 mm")
-    person.answer("A sharp picture of the resting ball", "none")
+    person.answer("Sharp pictures of the resting ball", "none")
     person.wait_for("ball: radius 50 mm +/- 0.2 mm")
     person.wait_for("wrote rig.toml")
     person.answer("A shot with a streak", "shot.dng")

@@ -5,7 +5,9 @@ import pytest
 
 from calibration.wizard.memory import read_memory
 from calibration.wizard.run import NAMES, run_wizard
+from toolkit.ball_file import read_ball
 from toolkit.camera_file import read_camera
+from toolkit.cli.main import main
 from toolkit.errors import CalibrationError, ConfigError, ImageError, MismatchError
 from toolkit.imaging import write_png16
 from toolkit.rig import read_rig
@@ -234,3 +236,35 @@ def test_every_step_is_remembered_under_its_name(done):
     scene = done
     assert set(read_memory(scene, NAMES).steps) <= set(NAMES)
     assert Path("rig.toml").exists()
+
+
+@pytest.fixture(scope="module")
+def shaded(tmp_path_factory):
+    """A simulated folder with a shaded ball, seen sharply, and its true camera."""
+    folder = tmp_path_factory.mktemp("shaded") / "sim"
+    words = ["--preset", "shaded", "--size", "640x480", "--format", "png", "--quiet"]
+    assert main(["simulate", "--out", str(folder), *words]) == 0
+    (folder / "rig.toml").unlink()
+    (folder / "ball.toml").unlink()
+    return folder
+
+
+def test_a_sharp_picture_teaches_the_balls_looks(shaded, make_desk, monkeypatch):
+    monkeypatch.chdir(shaded)
+    given = {
+        "camera": ("camera.toml",),
+        "background": ("background.png",),
+        "response": ("linear",),
+        "radius": ("50 mm",),
+        "ball_image": ("ball.png",),
+        "kind_of_ball": ("shaded",),
+    }
+    with pytest.raises(ConfigError, match=r"its pictures show one .*--kind-of-ball"):
+        run_wizard(make_desk(shaded, given=given | {"kind_of_ball": ("two",)}, alone=True))
+    assert not (shaded / "ball.toml").exists()
+    outcomes = run_wizard(make_desk(shaded, given=given, alone=True))
+    assert "found in 1 sharp pictures" in outcomes["ball"].told[1]
+    rig = read_rig(shaded / "rig.toml")
+    assert rig.estimator == "known-shading"
+    assert read_ball(rig.ball).sharp.image.resolve() == shaded / "ball.png"
+    assert set(statuses(run_wizard(make_desk(shaded, alone=True))).values()) == {"kept", "skipped"}
