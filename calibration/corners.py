@@ -21,7 +21,7 @@ from calibration.checkers import (
     refine_corners,
     size_of,
 )
-from calibration.edges import clipped_share, edge_widths
+from calibration.edges import clipped_share, edges_of
 from calibration.markers import COMMON, Layout, find_charuco, find_markers, larger_of
 from calibration.survey import Survey, survey
 from calibration.view import View
@@ -250,10 +250,13 @@ def _find_charuco(view: View, picture: Brightness, layout: Layout) -> View:
 
 def _with_quality(view: View, picture: Brightness, reach: float = 0.3) -> View:
     assert view.corners is not None  # for the type checker
-    widths = edge_widths(picture.grey, view.grid, reach=reach)
+    edges = edges_of(picture.grey, view.grid, reach=reach)
+    if not np.isfinite(edges.widths).all():
+        return view
     return replace(
         view,
-        edge_px=widths if np.isfinite(widths).all() else None,
+        edge_px=edges.widths,
+        edge_shift_px=edges.shift,
         clipped_share=clipped_share(picture.clipped, view.corners),
     )
 

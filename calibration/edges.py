@@ -1,5 +1,6 @@
 """How sharp the edges of a board's squares are, and how much of the board met white."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -22,21 +23,33 @@ WIDTH_OF_SPREAD = 4.6
 """
 
 
-def edge_widths(grey: NDArray[Any], grid: Array, *, reach: float = 0.3) -> tuple[float, float]:
-    """Give the median 10 to 90 % width of the edges that run along x, and of those along y, px.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Edges:
+    """What the edges of a board's squares look like; NaN where none can be seen."""
 
-    Motion widens only the edges across it, so both are told. Half as long as a profile reaches, a
-    width stays behind the truth.
+    widths: tuple[float, float]  # px, 10 to 90 %, of those that run along x, and along y
+    shift: float  # px, how far the white squares reach into the dark ones
+
+
+def edges_of(grey: NDArray[Any], grid: Array, *, reach: float = 0.3) -> Edges:
+    """Measure the edges between the corners of a board.
+
+    Widths are medians; motion widens only the edges across it, so both directions are told. Once an
+    edge is wider than a profile reaches, its width stays behind the truth. Where light and dark are
+    coded evenly to the eye white reaches over by a fraction of the width; where it was clipped it
+    reaches further.
 
     Args:
         grey: brightness [H, W].
         grid: corners [R, C, 2] px; NaN where one was not found.
         reach: length of a profile on each side of the edge, in squares.
-
-    Returns:
-        NaN for a direction without an edge that can be seen.
     """
-    return _widths(grey, grid, reach), _widths(grey, grid.swapaxes(0, 1), reach)
+    along, down = _measure(grey, grid, reach), _measure(grey, grid.swapaxes(0, 1), reach)
+    shifts = np.concatenate([along[1], down[1]])
+    return Edges(
+        widths=(_median(along[0]), _median(down[0])),
+        shift=_median(shifts),
+    )
 
 
 def clipped_share(clipped: NDArray[np.bool_], corners: Array) -> float:
@@ -49,22 +62,26 @@ def clipped_share(clipped: NDArray[np.bool_], corners: Array) -> float:
     return float(part[inside > 0].mean()) if inside.any() else 0.0
 
 
-def _widths(grey: NDArray[Any], grid: Array, reach: float) -> float:
+def _measure(grey: NDArray[Any], grid: Array, reach: float) -> tuple[Array, Array]:
+    """Width and shift, px, of each edge that runs along a grid's rows and can be seen."""
     start, along = grid[:, :-1], np.diff(grid, axis=1)  # [R, C - 1, 2]
     gaps = np.linalg.norm(np.diff(grid, axis=0), axis=-1)  # [R - 1, C]
     across = np.fmin(np.vstack([gaps, gaps[-1:]]), np.vstack([gaps[:1], gaps]))
     half = reach * np.fmin(across[:, :-1], across[:, 1:])
     known = np.isfinite(start + along).all(axis=-1) & np.isfinite(half)
-    if not known.any():
-        return float("nan")
-    profiles = _profiles(grey, start[known], along[known], half[known])
+    profiles, half = _profiles(grey, start[known], along[known], half[known]), half[known]
     low, high = profiles[:, :PLATEAU].mean(1), profiles[:, -PLATEAU:].mean(1)
     seen = np.abs(high - low) > LEAST_CONTRAST
-    if not seen.any():
-        return float("nan")
-    risen = np.clip((profiles[seen] - low[seen, None]) / (high - low)[seen, None], 0, 1)
-    spread = np.trapezoid(risen * (1 - risen), axis=1) * 2 * half[known][seen] / (SAMPLES - 1)
-    return float(WIDTH_OF_SPREAD * np.median(spread))
+    profiles, half, low, high = profiles[seen], half[seen], low[seen], high[seen]
+    risen = np.clip((profiles - low[:, None]) / (high - low)[:, None], 0, 1)
+    step = 2 * half / (SAMPLES - 1)
+    middle = half - np.trapezoid(risen, axis=1) * step
+    widths = WIDTH_OF_SPREAD * np.trapezoid(risen * (1 - risen), axis=1) * step
+    return widths, np.where(high > low, -middle, middle)
+
+
+def _median(values: Array) -> float:
+    return float(np.median(values)) if len(values) else float("nan")
 
 
 def _profiles(grey: NDArray[Any], start: Array, along: Array, half: Array) -> Array:

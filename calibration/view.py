@@ -23,6 +23,7 @@ class View:
     ids: NDArray[np.int64] | None = None  # [N] which of the board's points they are; None: all
     target: Board | None = None  # what is printed on the board; a checkerboard when None
     edge_px: tuple[float, float] | None = None  # 10 to 90 % width of the edges along x, along y
+    edge_shift_px: float | None = None  # how far white squares reach into the dark ones
     clipped_share: float | None = None  # of the board's inner part
     rms_px: float | None = None  # distance of the corners from those the camera predicts
     T_cam_board: NDArray[np.float64] | None = None  # [4, 4], in squares, or metres when known

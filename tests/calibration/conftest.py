@@ -67,6 +67,11 @@ def gopro_wide():
 
 
 @pytest.fixture(scope="session")
+def charuco():
+    return real_photos("charuco")
+
+
+@pytest.fixture(scope="session")
 def camera():
     """The camera of the rendered photos and of `make_views`."""
     return CAMERA
