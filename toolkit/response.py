@@ -4,8 +4,9 @@ A response has one curve a channel, or none at all where brightness already is p
 light.
 """
 
+import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import partial
@@ -17,12 +18,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import ConfigError
-from toolkit.files import check_keys, one_line, read_toml
+from toolkit.files import check_keys, one_line, read_toml, write_text
+from toolkit.toml_text import to_toml
 
 Curve = Callable[[NDArray[Any]], NDArray[Any]]
 """Maps stored brightness, white = 1, to light, white = 1."""
 
 MAX_SAMPLES = 65536
+MAX_MODES = 64
+
+NICKNAMES = {
+    "rec709": "ITU-R BT.709",
+    "rec601": "ITU-R BT.601",
+    "rec2020": "ITU-R BT.2020",
+    "HLG": "ARIB STD-B67",  # of the scene's light; BT.2100 HLG gives that of a display
+    "C-Log": "Canon Log",
+    "C-Log2": "Canon Log 2",
+    "C-Log3": "Canon Log 3",
+    "LogC": "ARRI LogC3",
+    "Apple Log": "Apple Log Profile",
+}
+"""Names by which cameras and programs call curves that colour-science calls otherwise."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -35,7 +51,15 @@ class SampledCurve:
 
     brightness: NDArray[np.float64]  # [K] rising
     exposure: NDArray[np.float64]  # [K] rising
-    std: NDArray[np.float64]  # [K] standard deviation of the exposure
+    std: NDArray[np.float64]  # [K] standard deviation of the exposure, but for a common factor
+    # [M, K] the largest independent ways in which the exposure may err, by one standard deviation
+    # each; None where a file tells only their sum: then all samples err together
+    modes: NDArray[np.float64] | None = None
+
+    @property
+    def changes(self) -> NDArray[np.float64]:
+        """Independent changes of the exposure, one standard deviation each [M, K]."""
+        return self.std[None] if self.modes is None else self.modes
 
     def __call__(self, brightness: NDArray[Any]) -> NDArray[Any]:
         """Give the light of each brightness, any shape."""
@@ -45,12 +69,73 @@ class SampledCurve:
         return light
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CurveDoubt:
+    """How the light of a picture may be wrong because its response was measured."""
+
+    light: NDArray[np.float64]  # [3, K] rising, as decoded
+    changes: NDArray[np.float64]  # [M, 3, K] of it, independent, one standard deviation each
+
+    @staticmethod
+    def of(curves: "Sequence[SampledCurve]") -> "CurveDoubt":
+        """Join the curves of R, G, B; what was measured in one channel errs in it alone.
+
+        Three equal curves, those of a grey bracket, err as one.
+        """
+        grid = np.union1d(
+            np.union1d(curves[0].brightness, curves[1].brightness), curves[2].brightness
+        )
+        light = np.stack([np.interp(grid, c.brightness, c.exposure) for c in curves])
+        own = [np.stack([np.interp(grid, c.brightness, row) for row in c.changes]) for c in curves]
+        if all(_are_equal(curves[0], c) for c in curves[1:]):
+            return CurveDoubt(light=light, changes=np.stack([own[0]] * 3, axis=1))
+        changes = []
+        for channel, rows in enumerate(own):
+            apart = np.zeros((len(rows), 3, len(grid)))
+            apart[:, channel] = rows
+            changes.append(apart)
+        return CurveDoubt(light=light, changes=np.concatenate(changes))
+
+    def change(self, light: NDArray[Any], mode: int, channel: int) -> NDArray[np.float64]:
+        """Give the change of one channel's light, any shape, by one way of erring."""
+        changed: NDArray[np.float64] = np.interp(
+            light, self.light[channel], self.changes[mode, channel]
+        )
+        return changed
+
+    def exponent_std(self) -> float:
+        """Give the standard deviation of the light's exponent that all changes amount to."""
+        total = 0.0
+        for change in self.changes:
+            bend = self.light * np.log(np.maximum(self.light, 1e-3))
+            # a common factor is no exponent
+            flat = self.light * (bend * self.light).sum() / (self.light**2).sum()
+            total += float((change * (bend - flat)).sum() / ((bend - flat) ** 2).sum()) ** 2
+        return math.sqrt(total)
+
+
+def _are_equal(first: SampledCurve, second: SampledCurve) -> bool:
+    pairs = zip(
+        (first.brightness, first.exposure, first.changes),
+        (second.brightness, second.exposure, second.changes),
+        strict=True,
+    )
+    return all(np.array_equal(one, other) for one, other in pairs)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Response:
     """How stored brightness becomes light."""
 
     name: str
     curves: tuple[Curve, Curve, Curve] | None = None  # R, G, B; None: proportional
+
+    def doubt(self) -> "CurveDoubt | None":
+        """Give how measured curves may err, by light; None where nothing was measured."""
+        curves = [curve for curve in self.curves or () if isinstance(curve, SampledCurve)]
+        if len(curves) < 3 or not any(curve.std.any() for curve in curves):
+            return None
+        return CurveDoubt.of(curves)
 
     def light(self, brightness: NDArray[Any], channel: int) -> NDArray[np.float32]:
         """Give the light of one channel's brightness, white = 1, any shape."""
@@ -134,7 +219,7 @@ def _read_response(path: Path) -> Response:
 
 def _sampled_curve(where: str, table: dict[str, Any]) -> SampledCurve:
     keys = ("brightness", "exposure", "std")
-    check_keys(where, table, dict.fromkeys(keys, list))
+    check_keys(where, table, dict.fromkeys([*keys, "modes"], list))
     missing = [key for key in keys if key not in table]
     if missing:
         raise ConfigError(f"{where} lacks '{missing[0]}'; calibrate the response again")
@@ -149,7 +234,17 @@ def _sampled_curve(where: str, table: dict[str, Any]) -> SampledCurve:
             raise ConfigError(f"{where}: '{key}' does not rise from 0 to 1; calibrate again")
     if std.min() < 0:
         raise ConfigError(f"{where}: 'std' has a negative value; calibrate the response again")
-    return SampledCurve(brightness=brightness, exposure=exposure, std=std)
+    modes = _modes(f"{where} modes", table["modes"], std.size) if "modes" in table else None
+    return SampledCurve(brightness=brightness, exposure=exposure, std=std, modes=modes)
+
+
+def _modes(where: str, rows: list[Any], size: int) -> NDArray[np.float64]:
+    if not 1 <= len(rows) <= MAX_MODES or not all(isinstance(row, list) for row in rows):
+        raise ConfigError(f"{where}: 1 to {MAX_MODES} lists are needed; calibrate again")
+    modes = [_numbers(where, row) for row in rows]
+    if any(mode.size != size for mode in modes):
+        raise ConfigError(f"{where}: each list needs {size} values; calibrate again")
+    return np.stack(modes)
 
 
 def _numbers(where: str, values: list[Any]) -> NDArray[np.float64]:
@@ -163,26 +258,74 @@ def _numbers(where: str, values: list[Any]) -> NDArray[np.float64]:
     return numbers
 
 
-def _named_response(name: str) -> Response:
+def write_response(
+    path: Path, curves: Sequence[SampledCurve], provenance: Mapping[str, Any]
+) -> None:
+    """Write measured curves of R, G, B as a response.toml, whole or not at all."""
+    table: dict[str, Any] = {"provenance": dict(provenance)} if provenance else {}
+    for name, curve in zip("rgb", curves, strict=True):
+        table[f"channels.{name}"] = {
+            "brightness": curve.brightness.tolist(),
+            "exposure": curve.exposure.tolist(),
+            "std": curve.std.tolist(),
+            **({} if curve.modes is None else {"modes": curve.modes.tolist()}),
+        }
+    write_text(path, to_toml("response", table))
+
+
+def curve_names() -> list[str]:
+    """List the curves that `load_response` knows by name, those that rise with brightness."""
+    usable = []
+    for name in sorted(_decodings(), key=str.lower):
+        try:
+            _named_response(name)
+        except ConfigError:
+            continue
+        usable.append(name)
+    return ["linear", "srgb", *(name for name in usable if name != "sRGB")]
+
+
+def _decodings() -> dict[str, Callable[..., Any]]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it complains about optional plotting packages
         import colour
-    names = {key.lower(): key for key in (*colour.CCTF_DECODINGS, *colour.LOG_DECODINGS)}
-    if name.lower() not in names:
-        near = [names[n] for n in get_close_matches(name.lower(), names, n=5, cutoff=0.4)]
+    return {**colour.LOG_DECODINGS, **colour.CCTF_DECODINGS}
+
+
+def _plain(name: str) -> str:
+    """Reduce a name to its letters and digits: BT.709, bt709 and BT 709 are the same."""
+    return "".join(c for c in name.lower() if c.isalnum())
+
+
+def _known_as(names: Iterable[str]) -> dict[str, str]:
+    """Give the full name for each natural one: without maker's or standard's prefix too."""
+    known = {_plain(short): full for short, full in NICKNAMES.items()}
+    for name in names:
+        for prefix in ("ITU-R ", "ITU-T ", "ARRI ", "SMPTE "):
+            known.setdefault(_plain(name.removeprefix(prefix)), name)
+    return known | {_plain(name): name for name in names}
+
+
+def _named_response(name: str) -> Response:
+    decodings = _decodings()
+    known = _known_as(decodings)
+    key = known.get(_plain(name))
+    if key is None:
+        close = get_close_matches(_plain(name), known, n=8, cutoff=0.4)
+        near = list(dict.fromkeys(known[one] for one in close))[:5]
         hint = (
             f"did you mean {', '.join(near)}?" if near else "give linear, srgb or a response.toml"
         )
         raise ConfigError(f"response '{name}' is neither a file nor a known curve; {hint}")
-    key = names[name.lower()]
-    curve = partial(_decode_named, colour.CCTF_DECODINGS.get(key) or colour.LOG_DECODINGS[key])
+    curve = partial(_decode_named, decodings[key])
     _check_curve(key, curve)
     return Response(name=key, curves=(curve,) * 3)
 
 
 def _decode_named(decode: Callable[..., Any], brightness: NDArray[Any]) -> NDArray[Any]:
     """Decode with a colour-science curve, scaled so that the largest stored value is white, 1."""
-    with np.errstate(all="ignore"):
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # some curves have remarks about displays
         light = np.array(decode(np.append(brightness.ravel(), 1.0)), dtype=np.float64)
         scaled: NDArray[Any] = light[:-1] / light[-1]
     return scaled.reshape(brightness.shape)

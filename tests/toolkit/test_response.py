@@ -7,7 +7,15 @@ import numpy as np
 import pytest
 
 from toolkit.errors import ConfigError
-from toolkit.response import LINEAR, SampledCurve, decode_srgb, load_response
+from toolkit.response import (
+    LINEAR,
+    Response,
+    SampledCurve,
+    curve_names,
+    decode_srgb,
+    load_response,
+    write_response,
+)
 
 CHANNEL = "brightness = [0.0, 0.5, 1.0]\nexposure = [0.0, 0.2, 1.0]\nstd = [0.0, 0.01, 0.02]\n"
 
@@ -81,6 +89,71 @@ def test_named_curves_rise_to_white(name):
     assert response.name.lower() == name.lower()
 
 
+@pytest.mark.parametrize(
+    ("said", "name"),
+    [
+        ("BT.709", "ITU-R BT.709"),
+        ("rec709", "ITU-R BT.709"),
+        ("slog3", "S-Log3"),
+        ("C-Log", "Canon Log"),
+        ("clog3", "Canon Log 3"),
+        ("V-Log", "V-Log"),
+        ("logc3", "ARRI LogC3"),
+        ("HLG", "ARIB STD-B67"),
+    ],
+)
+def test_curves_go_by_their_natural_names(said, name):
+    assert load_response(said).name == name
+
+
+def test_all_names_listed_can_be_used(colour):
+    names = curve_names()
+    assert names[:2] == ["linear", "srgb"]
+    assert "DICOM GSDF" not in names  # it does not rise
+    for name in names:
+        assert (np.diff(load_response(name).light(np.linspace(0, 1, 64), 0)) >= 0).all()
+
+
+def test_measured_curves_are_written_and_read_again(tmp_path):
+    brightness = np.linspace(0, 1, 5)
+    modes = np.array([[0, 0.01, 0, -0.01, 0], [0, 0, 0.02, 0, 0.0]])
+    curve = SampledCurve(
+        brightness=brightness,
+        exposure=brightness**2,
+        std=np.sqrt((modes**2).sum(0)),
+        modes=modes,
+    )
+    path = tmp_path / "response.toml"
+    write_response(path, (curve, curve, curve), {"times_s": [0.5, 1.0]})
+    found = load_response(path)
+    for one in found.curves:
+        assert one.exposure.tolist() == curve.exposure.tolist()
+        np.testing.assert_array_equal(one.changes, modes)
+
+
+def test_doubt_tells_how_light_may_err():
+    brightness = np.linspace(0, 1, 65)
+    bend = brightness**2 * np.log(np.maximum(brightness**2, 1e-3))
+    curves = [
+        SampledCurve(
+            brightness=brightness,
+            exposure=brightness**2,
+            std=np.abs(x * bend),
+            modes=x * bend[None],
+        )
+        for x in (0.01, 0.02, 0.03)
+    ]
+    doubt = Response(name="measured", curves=tuple(curves)).doubt()
+    assert doubt.changes.shape == (3, 3, 65)
+    assert doubt.change(np.array(0.25), 1, 1) == pytest.approx(0.02 * 0.25 * np.log(0.25))
+    assert doubt.change(np.array(0.25), 1, 0) == 0
+    same = Response(name="measured", curves=(curves[1],) * 3).doubt()
+    assert same.changes.shape == (1, 3, 65)
+    assert same.exponent_std() == pytest.approx(0.02, rel=0.02)
+    assert LINEAR.doubt() is None
+    assert load_response("srgb").doubt() is None
+
+
 def test_a_named_curve_is_proportional_to_colour_science(colour):
     brightness = np.linspace(0, 1, 50)
     expected = colour.models.log_decoding_SLog3(brightness)
@@ -91,7 +164,7 @@ def test_a_named_curve_is_proportional_to_colour_science(colour):
 @pytest.mark.parametrize(
     ("name", "text"),
     [
-        ("slog3", "did you mean S-Log3"),
+        ("slog33", "did you mean S-Log3"),
         ("srgbb", "sRGB"),
         ("qqqqqqqq", "give linear, srgb or a response.toml"),
         ("DICOM GSDF", "does not rise"),
@@ -126,6 +199,8 @@ def test_a_measured_response(tmp_path):
         ("std = [0.0, 0.01, 0.02]", "std = 0.1", "a list is needed"),
         ("std = [0.0, 0.01, 0.02]", "", "lacks 'std'"),
         ("std = [0.0, 0.01, 0.02]", "std = [0.0]", "has 1 values"),
+        ("std =", "modes = [[0.0, 0.1]]\nstd =", "needs 3 values"),
+        ("std =", "modes = [0.1]\nstd =", "lists are needed"),
         ("std =", "stdev =", "unknown key 'stdev'"),
     ],
 )
