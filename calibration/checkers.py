@@ -39,6 +39,10 @@ THOROUGH = (
 EVEN_LIGHT = cv2.CALIB_CB_LARGER + cv2.CALIB_CB_NORMALIZE_IMAGE
 """Of 32 real photos 19 to 31 were read right with uneven light and 26 evened out; each misreads
 others."""
+CIRCLE_POINTS = 48
+"""How often the circle about a corner is read."""
+MOST_UNLIKE = 0.2
+"""Mean difference of opposite points on it, over the contrast."""
 MARKED_SPREAD = 0.15
 """Spread of brightness inside the white squares, over the contrast, from which they hold markers.
 """
@@ -125,6 +129,47 @@ def holds_markers(grey: Grey, corners: Pixels) -> bool:
     is_white = np.add.outer(np.arange(corners.shape[0] - 1), np.arange(corners.shape[1] - 1)) % 2
     spreads = patches.std(axis=1).reshape(is_white.shape) / max(high - low, 1)
     return bool(max(np.median(spreads[is_white == i]) for i in (0, 1)) > MARKED_SPREAD)
+
+
+def are_crossings(picture: NDArray[np.uint8], corners: Pixels, radius: float) -> NDArray[np.bool_]:
+    """Tell whether a circle about a corner [N, 2] meets two dark and two light parts, each alike.
+
+    On the board's rim, below the last row, a marker has corners too, but only one dark part each;
+    beside something that hides the board one part is unlike its opposite.
+    """
+    angle = np.linspace(0, 2 * np.pi, CIRCLE_POINTS, endpoint=False)
+    ring = max(radius, 1.5) * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    places = (corners[:, None] + ring).astype(np.float32)
+    seen = cv2.remap(
+        picture, places[..., 0], places[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    ).astype(np.float64)
+    middle = (seen.max(axis=1) + seen.min(axis=1)) / 2
+    is_light = seen > middle[:, None]
+    changes = (is_light != np.roll(is_light, 1, axis=1)).sum(axis=1)
+    unlike = np.abs(seen - np.roll(seen, CIRCLE_POINTS // 2, axis=1)).mean(axis=1)
+    contrast = np.maximum(np.ptp(seen, axis=1), 1)
+    return np.asarray((changes == 4) & (unlike < MOST_UNLIKE * contrast))
+
+
+def shows(grey: Grey, board: tuple[int, int]) -> bool:
+    """Tell whether a photo plainly shows a checkerboard of this size, and none that goes on."""
+    whole = as_bytes(grey)
+    small = reduced(whole, GLANCE_SIDES[0])
+    found = _search(small, board, [CLASSIC])
+    if found is None:
+        return False
+    corners = _enlarged(found, small, whole)
+    return not _goes_on(whole, corners) and not holds_markers(whole, corners)
+
+
+def _goes_on(picture: NDArray[np.uint8], corners: Pixels) -> bool:
+    """Whether squares meet where the next row or column of corners would be, on any side."""
+    radius = 0.3 * spacing(corners)
+    for grid in (corners, corners[::-1], corners.swapaxes(0, 1), corners.swapaxes(0, 1)[::-1]):
+        next_row = 2 * grid[0] - grid[1]
+        if are_crossings(picture, next_row, radius).mean() > 0.5:
+            return True
+    return False
 
 
 def size_of(corners: Pixels) -> tuple[int, int]:

@@ -12,6 +12,8 @@ Array = NDArray[np.float64]
 SAMPLES = 41
 ALONG = (0.35, 0.5, 0.65)
 """Where profiles cross an edge, as shares of its length; their mean has less noise."""
+TRAPEZOID = np.array([0.5, *[1.0] * (SAMPLES - 2), 0.5])
+"""Weights of the samples in an integral."""
 PLATEAU = 5
 """Samples at each end of a profile that tell ink and paper."""
 LEAST_CONTRAST = 8.0
@@ -44,10 +46,12 @@ def edges_of(grey: NDArray[Any], grid: Array, *, reach: float = 0.3) -> Edges:
         grid: corners [R, C, 2] px; NaN where one was not found.
         reach: length of a profile on each side of the edge, in squares.
     """
-    along, down = _measure(grey, grid, reach), _measure(grey, grid.swapaxes(0, 1), reach)
-    shifts = np.concatenate([along[1], down[1]])
+    parts = [_segments(grid, reach), _segments(grid.swapaxes(0, 1), reach)]
+    start, along, half = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    widths, shifts = _measure(_profiles(grey, start, along, half), half)
+    count = len(parts[0][2])
     return Edges(
-        widths=(_median(along[0]), _median(down[0])),
+        widths=(_median(widths[:count]), _median(widths[count:])),
         shift=_median(shifts),
     )
 
@@ -62,35 +66,41 @@ def clipped_share(clipped: NDArray[np.bool_], corners: Array) -> float:
     return float(part[inside > 0].mean()) if inside.any() else 0.0
 
 
-def _measure(grey: NDArray[Any], grid: Array, reach: float) -> tuple[Array, Array]:
-    """Width and shift, px, of each edge that runs along a grid's rows and can be seen."""
+def _segments(grid: Array, reach: float) -> tuple[Array, Array, Array]:
+    """Edges that run along a grid's rows: start and run [E, 2], half length of a profile [E]."""
     start, along = grid[:, :-1], np.diff(grid, axis=1)  # [R, C - 1, 2]
-    gaps = np.linalg.norm(np.diff(grid, axis=0), axis=-1)  # [R - 1, C]
+    gaps = np.hypot(*np.diff(grid, axis=0).transpose(2, 0, 1))  # [R - 1, C]
     across = np.fmin(np.vstack([gaps, gaps[-1:]]), np.vstack([gaps[:1], gaps]))
     half = reach * np.fmin(across[:, :-1], across[:, 1:])
-    known = np.isfinite(start + along).all(axis=-1) & np.isfinite(half)
-    profiles, half = _profiles(grey, start[known], along[known], half[known]), half[known]
+    known = np.isfinite(start[..., 0] + along[..., 0] + half)
+    return start[known], along[known], half[known]
+
+
+def _measure(profiles: Array, half: Array) -> tuple[Array, Array]:
+    """Width and shift of each edge, px; NaN where ink and paper look alike."""
     low, high = profiles[:, :PLATEAU].mean(1), profiles[:, -PLATEAU:].mean(1)
-    seen = np.abs(high - low) > LEAST_CONTRAST
-    profiles, half, low, high = profiles[seen], half[seen], low[seen], high[seen]
-    risen = np.clip((profiles - low[:, None]) / (high - low)[:, None], 0, 1)
+    rise = np.where(np.abs(high - low) > LEAST_CONTRAST, high - low, np.nan)
+    risen = np.clip((profiles - low[:, None]) / rise[:, None], 0, 1)
     step = 2 * half / (SAMPLES - 1)
-    middle = half - np.trapezoid(risen, axis=1) * step
-    widths = WIDTH_OF_SPREAD * np.trapezoid(risen * (1 - risen), axis=1) * step
-    return widths, np.where(high > low, -middle, middle)
+    area = risen @ TRAPEZOID
+    widths = WIDTH_OF_SPREAD * (area - (risen * risen) @ TRAPEZOID) * step
+    return widths, np.where(rise > 0, area * step - half, half - area * step)
 
 
 def _median(values: Array) -> float:
-    return float(np.median(values)) if len(values) else float("nan")
+    seen = values[np.isfinite(values)]
+    return float(np.median(seen)) if len(seen) else float("nan")
 
 
 def _profiles(grey: NDArray[Any], start: Array, along: Array, half: Array) -> Array:
     """Sample brightness across edges [E, SAMPLES], from one side to the other."""
-    normal = along[:, ::-1] * [-1, 1] / np.linalg.norm(along, axis=-1, keepdims=True)
+    normal = along[:, ::-1] * [-1, 1] / np.hypot(along[:, :1], along[:, 1:])
     offset = half[:, None] * np.linspace(-1, 1, SAMPLES)
     middle = start[:, None] + along[:, None] * np.array(ALONG)[:, None]  # [E, 3, 2]
     places = middle[:, :, None] + normal[:, None, None] * offset[:, None, :, None]
     x, y = places.reshape(-1, SAMPLES, 2).astype(np.float32).transpose(2, 0, 1)
+    if not len(x):
+        return np.zeros((0, SAMPLES))
     sampled = cv2.remap(grey, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    means: Array = sampled.reshape(-1, len(ALONG), SAMPLES).astype(np.float64).mean(axis=1)
+    means: Array = sampled.reshape(-1, len(ALONG), SAMPLES).mean(axis=1, dtype=np.float64)
     return means

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.board import MOST
-from calibration.checkers import Grey, Pixels, as_bytes, reduced, refined
+from calibration.checkers import Grey, Pixels, are_crossings, as_bytes, reduced, refined
 from toolkit.errors import ConfigError
 
 SEARCH_SIDE = 1600
@@ -37,10 +37,8 @@ WINDOW_SHARE = 0.7
 """Half the refining window over the white gap between a corner and the next marker."""
 LARGEST_WINDOW = 0.3
 """The same, over the side of a square."""
-CIRCLE_SHARE, CIRCLE_POINTS = 0.95, 48
-"""Radius of the circle that tells a crossing, over the white gap, and how often it is read."""
-MOST_UNLIKE = 0.2
-"""Mean difference of opposite points on it, over the contrast."""
+CIRCLE_SHARE = 0.95
+"""Radius of the circle that tells a crossing, over the white gap."""
 MOST_MOVED = 0.2
 """Squares a corner may move when it is refined; past it another edge was taken for it."""
 
@@ -145,28 +143,8 @@ def find_charuco(grey: Grey, layout: Layout, markers: Markers) -> tuple[Pixels, 
     gap = (1 - layout.marker_share) / 2
     corners = refined(grey, rough, min(WINDOW_SHARE * gap, LARGEST_WINDOW) * square)
     is_sure = np.linalg.norm(corners - rough, axis=-1) < max(MOST_MOVED * square, 1)
-    is_sure &= _are_crossings(whole, corners, CIRCLE_SHARE * gap * square)
+    is_sure &= are_crossings(whole, corners, CIRCLE_SHARE * gap * square)
     return corners[is_sure], numbers[is_sure]
-
-
-def _are_crossings(picture: NDArray[np.uint8], corners: Pixels, radius: float) -> NDArray[np.bool_]:
-    """Whether a circle about each corner goes through two dark and two light parts, each alike.
-
-    On the board's rim, below the last row, a marker has corners too, but only one dark part each;
-    beside something that hides the board one part is unlike its opposite.
-    """
-    angle = np.linspace(0, 2 * np.pi, CIRCLE_POINTS, endpoint=False)
-    ring = max(radius, 1.5) * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    places = (corners[:, None] + ring).astype(np.float32)
-    seen = cv2.remap(
-        picture, places[..., 0], places[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-    ).astype(np.float64)
-    middle = (seen.max(axis=1) + seen.min(axis=1)) / 2
-    is_light = seen > middle[:, None]
-    changes = (is_light != np.roll(is_light, 1, axis=1)).sum(axis=1)
-    unlike = np.abs(seen - np.roll(seen, CIRCLE_POINTS // 2, axis=1)).mean(axis=1)
-    contrast = np.maximum(np.ptp(seen, axis=1), 1)
-    return np.asarray((changes == 4) & (unlike < MOST_UNLIKE * contrast))
 
 
 def _opencv_board(layout: Layout) -> Any:

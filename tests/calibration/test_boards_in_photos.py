@@ -5,8 +5,16 @@ import numpy as np
 import pytest
 
 from calibration.board import BoardRequest
+from calibration.checkers import are_crossings, shows
 from calibration.corners import search_boards
-from calibration.markers import Layout, dictionary_named, find_charuco, find_markers, layout_of
+from calibration.markers import (
+    Layout,
+    Markers,
+    dictionary_named,
+    find_charuco,
+    find_markers,
+    layout_of,
+)
 
 REQUEST = BoardRequest(
     kind="charuco", size=(5, 7), dictionary="DICT_6X6_250", square_m=0.04, marker_m=0.02
@@ -137,16 +145,31 @@ def test_a_few_markers_leave_the_layout_open(charuco_photos):
     assert find_markers(np.full((200, 200), 255, dtype=np.uint8), ["DICT_5X5_250"]) is None
 
 
-def test_what_was_said_serves_where_markers_are_few():
+def test_one_marker_alone_gives_no_corner():
     layout = Layout(dictionary="DICT_5X5_250", squares_x=5, marker_share=0.6)
     empty = np.full((200, 200), 255, dtype=np.uint8)
     quad = np.array([[[10.0, 10], [50, 10], [50, 50], [10, 50]]])
-    from calibration.markers import Markers
-
     markers = Markers(dictionary="DICT_5X5_250", corners=quad, ids=np.array([0]))
     corners, ids = find_charuco(empty, layout, markers)
     assert corners.shape == (0, 2)
     assert len(ids) == 0
+
+
+def test_a_size_is_shown_only_by_the_whole_board(photos):
+    grey = 255 * np.sqrt(np.clip(photos.pictures[1].mean(0), 0, 1)).astype(np.float32)
+    assert shows(grey, (9, 6))
+    assert not shows(grey, (8, 6))
+    assert not shows(grey, (9, 5))
+    assert not shows(grey, (10, 7))
+
+
+def test_a_circle_tells_a_crossing_from_a_rim_and_a_hidden_one():
+    picture = np.full((100, 100), 230, dtype=np.uint8)
+    picture[20:50, 20:50] = picture[50:80, 50:80] = 20
+    places = np.array([[49.5, 49.5], [49.5, 19.5], [19.5, 19.5], [35.0, 35.0]])
+    assert are_crossings(picture, places, 10).tolist() == [True, False, False, False]
+    picture[:, 56:] = 120
+    assert are_crossings(picture, places, 10).tolist() == [False] * 4
 
 
 def test_squares_counted_for_corners_are_noticed(photos):
