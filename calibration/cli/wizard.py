@@ -1,4 +1,4 @@
-"""`toolkit wizard`: from an empty folder to a rig.toml, question by question."""
+"""Lead from photos of a board to a rig with which `toolkit measure SHOT` alone is enough."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from toolkit.errors import ConfigError
 
@@ -16,8 +17,43 @@ if TYPE_CHECKING:
     from calibration.wizard.run import Step
 
 SCHEMA = "toolkit.wizard-run/1"
+EITHER = (("images", "camera"), ("bracket", "response"))
+"""Answers of which one takes the place of the other."""
+MANY = ("--images", "--bracket", "--background", "--ball-image")
+"""Options after which a shell's expanded pattern may stand: --images chess/*.jpg."""
 
 
+def spread(words: Sequence[str]) -> list[str]:
+    """Repeat an option before each of the words that a shell made of its pattern.
+
+    Example:
+        >>> spread(["--images", "a.jpg", "b.jpg", "--json"])
+        ['--images', 'a.jpg', '--images', 'b.jpg', '--json']
+    """
+    out: list[str] = []
+    option, is_first = "", False
+    for word in words:
+        if word.startswith("-"):
+            option, is_first = word if word in MANY else "", True
+        elif option and not is_first:
+            out.append(option)
+        out.append(word)
+        is_first = word.startswith("-")
+    return out
+
+
+class ManyWords(TyperCommand):
+    """A command whose options of many pictures take what a shell makes of a pattern."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Read the words of the command line."""
+        return super().parse_args(ctx, spread(args))
+
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
+
+
+@app.command("wizard", cls=ManyWords)
 def wizard(
     folder: Annotated[
         Path, typer.Option(metavar="DIR", help="Where rig.toml and all that is made go.")
@@ -52,9 +88,16 @@ def wizard(
         str | None,
         typer.Option(metavar="NAME|F|unknown", help="linear, srgb, a curve, a response.toml."),
     ] = None,
+    bracket: Annotated[
+        list[str] | None,
+        typer.Option(metavar="PHOTO...", help="Measure the response from such photos."),
+    ] = None,
+    times: Annotated[
+        str | None, typer.Option(metavar="T1,T2,..", help="Their exposure times in seconds.")
+    ] = None,
     background: Annotated[
         list[str] | None,
-        typer.Option(metavar="F", help="The scene without the ball; repeat it for several."),
+        typer.Option(metavar="F...", help="Pictures of the scene without the ball."),
     ] = None,
     exposure: Annotated[
         str | None, typer.Option(metavar="SECONDS", help="Where the files do not tell it: 1/100.")
@@ -70,7 +113,7 @@ def wizard(
     ] = None,
     ball_image: Annotated[
         list[str] | None,
-        typer.Option(metavar="F", help="A sharp picture of the resting ball; repeatable; or none."),
+        typer.Option(metavar="F...", help="Sharp pictures of the resting ball, or none."),
     ] = None,
     kind_of_ball: Annotated[
         str | None, typer.Option(metavar="KIND", help="plain, shaded, two-colour or unsure.")
@@ -85,8 +128,6 @@ def wizard(
     replace: Annotated[
         bool, typer.Option("--replace", help="Replace files that the wizard did not write.")
     ] = False,
-    # a shell expands --images chess/*.jpg to one option and many words: these are the words
-    more: Annotated[list[str] | None, typer.Argument(hidden=True, metavar="PHOTO")] = None,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Lead from photos of a board to a rig with which `toolkit measure SHOT` alone is enough.
@@ -98,12 +139,14 @@ def wizard(
         make_board=() if make_board is None else ("yes" if make_board else "no",),
         board_kind=_word(kind),
         paper=_word(paper),
-        images=_photos(images, more),
+        images=tuple(images or ()),
         camera=_word(camera),
         board=_word(board),
         square=_word(square),
         model=_word(model),
         response=_word(response),
+        bracket=tuple(bracket or ()),
+        times=_word(times),
         background=tuple(background or ()),
         exposure=_word(exposure),
         readout=_word(readout),
@@ -127,12 +170,6 @@ def wizard(
         typer.echo(f"next: toolkit measure SHOT, for a shot in {_printable(str(desk.folder))}")
 
 
-def _photos(images: list[str] | None, more: list[str] | None) -> tuple[str, ...]:
-    if more and not images:
-        raise ConfigError(f"'{more[0]}' stands alone; photos of a board follow --images")
-    return (*(images or ()), *(more or ()))
-
-
 def _word(text: str | None) -> tuple[str, ...]:
     return () if text is None else (text,)
 
@@ -140,8 +177,9 @@ def _word(text: str | None) -> tuple[str, ...]:
 def _given(**words: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
     """Keep the answers that flags gave."""
     given = {name: answer for name, answer in words.items() if answer}
-    if "images" in given and "camera" in given:
-        raise ConfigError("--images and --camera are both given; photos make a camera: choose one")
+    for one, other in EITHER:
+        if one in given and other in given:
+            raise ConfigError(f"--{one} and --{other} are both given; choose one")
     return given
 
 
@@ -159,13 +197,15 @@ def _desk(
     if unknown:
         raise ConfigError(f"--redo {unknown[0]} is no step; there are {', '.join(NAMES)}")
     memory = read_memory(folder, NAMES)
-    for one, other in (("images", "camera"), ("camera", "images")):
-        if one in given:
-            memory.answers.pop(other, None)
+    answers = dict(memory.answers)
+    for pair in EITHER:
+        for one, other in (pair, pair[::-1]):
+            if one in given:
+                answers.pop(other, None)
     asker = Asker(
         folder=folder,
         given=given,
-        answers=memory.answers,
+        answers=answers,
         person=Terminal() if _is_terminal() else None,
     )
     for step in STEPS:

@@ -4,11 +4,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calibration.wizard.desk import Desk, Outcome
+from calibration.wizard.light import response_of
 from calibration.wizard.memory import key_of
 from calibration.wizard.named_files import find_pictures, split_words
 from calibration.wizard.quantities import parse_length, parse_radius
 from calibration.wizard.questions import Question, Words, one_of, optional
-from calibration.wizard.scene import BACKGROUND, response_of
+from calibration.wizard.scene import BACKGROUND
 from toolkit.candidates import AUTO
 from toolkit.errors import ConfigError
 

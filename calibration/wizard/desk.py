@@ -57,6 +57,12 @@ class Desk:
         """Give the answer of a question; see `Asker.ask`."""
         return self.asker.ask(question)
 
+    def ask_if_needed(self, question: Question[T]) -> T | None:
+        """Give the answer of what tells itself mostly: asked only after a failure, or by a flag."""
+        name = question.name
+        is_needed = self.asker.knows(name) or name in self.asker.refused
+        return self.ask(question) if is_needed else None
+
     def confirm(self, text: str, *, default: bool) -> bool:
         """Ask the person something that is not remembered; `default` where nobody is there."""
         person = self.asker.person

@@ -1,7 +1,7 @@
 """The wizard's third step: the camera from the photos, with a report that shows what is weak."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 from calibration.board import BoardRequest
 from calibration.wizard.board_step import BOARD_KIND
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 STEP = "lens"
 REPORT_NAME = "calibration.html"
-T = TypeVar("T")
 
 
 def _board(words: Words) -> tuple[int, int] | None:
@@ -65,9 +64,9 @@ def calibrate_lens(desk: Desk) -> Outcome:
         return Outcome(status="skipped", told=(known,))
     from calibration.report.collect import write_report
 
-    photos, square = desk.ask(PHOTOS), _known(desk, SQUARE)
-    size, kind = _known(desk, BOARD), _known(desk, BOARD_KIND)
-    model = _known(desk, MODEL) or "auto"
+    photos, square = desk.ask(PHOTOS), desk.ask_if_needed(SQUARE)
+    size, kind = desk.ask_if_needed(BOARD), desk.ask_if_needed(BOARD_KIND)
+    model = desk.ask_if_needed(MODEL) or "auto"
     key = key_of({"board": size, "kind": kind, "square": square, "model": model}, photos)
     if desk.memory.is_done(STEP, key):
         return desk.kept(STEP)
@@ -88,12 +87,6 @@ def calibrate_lens(desk: Desk) -> Outcome:
 def camera_path(desk: Desk) -> Path:
     """Give the camera file, once it is there."""
     return known_camera(desk) or desk.folder / CAMERA_NAME
-
-
-def _known(desk: Desk, question: Question[T]) -> T | None:
-    """Give the answer of what the photos tell by themselves: asked only where they did not."""
-    name = question.name
-    return desk.ask(question) if desk.asker.knows(name) or name in desk.asker.refused else None
 
 
 def _calibrate(

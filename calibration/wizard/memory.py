@@ -68,6 +68,14 @@ class Memory:
                 key="", outputs=self.steps[step].outputs, told=self.steps[step].told
             )
 
+    def keep_answers(self, names: Iterable[str], answers: Mapping[str, tuple[str, ...]]) -> None:
+        """Remember the answers of a step that worked out; those no longer given are forgotten."""
+        for name in names:
+            self.answers.pop(name, None)
+            if name in answers:
+                self.answers[name] = answers[name]
+        self.save()
+
     def name_of(self, path: Path) -> str:
         """Give a path as seen from the folder."""
         return seen_from(self.folder, path)

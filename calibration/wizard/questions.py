@@ -58,7 +58,7 @@ class Terminal:
 class Asker:
     """Answers questions: a flag first, then what was answered before, then the person.
 
-    `answers` collects what was answered, for the next run.
+    `answers` begins with those of earlier runs, and collects what is answered now.
     """
 
     folder: Path  # from which kept names of files are seen

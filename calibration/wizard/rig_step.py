@@ -13,8 +13,9 @@ from calibration.wizard.ball_step import (
 )
 from calibration.wizard.desk import Desk, Outcome
 from calibration.wizard.lens import camera_path
+from calibration.wizard.light import response_of
 from calibration.wizard.memory import key_of
-from calibration.wizard.scene import BACKGROUND, EXPOSURE, READOUT, response_of
+from calibration.wizard.scene import BACKGROUND, EXPOSURE, READOUT
 from toolkit.files import read_toml, write_text
 from toolkit.rig import read_rig
 from toolkit.toml_text import to_toml

@@ -9,7 +9,7 @@ from calibration.wizard.board_step import BOARD_KIND, MAKE, PAPER, make_board
 from calibration.wizard.check_shot import SHOT, check_shot
 from calibration.wizard.desk import Desk, GoBackError, Outcome
 from calibration.wizard.lens import BOARD, MODEL, SQUARE, calibrate_lens
-from calibration.wizard.light import RESPONSE, choose_response
+from calibration.wizard.light import BRACKET, RESPONSE, TIMES, choose_response
 from calibration.wizard.photos import CAMERA, CAMERA_NAME, PHOTOS, choose_photos
 from calibration.wizard.questions import Question
 from calibration.wizard.rig_step import write_rig
@@ -19,12 +19,13 @@ from toolkit.errors import ConfigError, EnvironmentFault, ToolkitError
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
-    """One step: what does it, which of its questions are asked again when it fails, and whence."""
+    """One step: what does it, and what is asked again when it fails."""
 
     name: str
     title: str
     run: Callable[[Desk], Outcome]
-    asks: tuple[Question[Any], ...] = ()
+    asks: tuple[Question[Any], ...] = ()  # again, those that were answered
+    then: tuple[Question[Any], ...] = ()  # only after a failure, or by a flag
     back_to: str = ""  # an earlier step that has to be done again first
 
 
@@ -37,10 +38,17 @@ STEPS = (
         name="lens",
         title="The camera's lens",
         run=calibrate_lens,
-        asks=(PHOTOS, CAMERA, BOARD, SQUARE, MODEL),
+        asks=(PHOTOS, CAMERA, SQUARE, MODEL),
+        then=(BOARD,),
         back_to="photos",
     ),
-    Step(name="response", title="From brightness to light", run=choose_response, asks=(RESPONSE,)),
+    Step(
+        name="response",
+        title="From brightness to light",
+        run=choose_response,
+        asks=(RESPONSE, BRACKET),
+        then=(TIMES,),
+    ),
     Step(
         name="background",
         title="The scene without the ball",
@@ -97,7 +105,8 @@ def run_wizard(
                 raise
             number = NAMES.index(step.back_to or step.name)
             continue
-        desk.memory.save()
+        answered = [question.name for question in (*step.asks, *step.then)]
+        desk.memory.keep_answers(answered, desk.asker.answers)
         on_outcome(step, outcomes[step.name])
         number += 1
     return outcomes
@@ -122,7 +131,7 @@ def check_nothing_missing(desk: Desk) -> None:
 
 def _check_flags(desk: Desk) -> None:
     """Raise `ConfigError` for a flag that cannot be read, before any work is done."""
-    for question in (question for step in STEPS for question in step.asks):
+    for question in (q for step in STEPS for q in (*step.asks, *step.then)):
         if question.name in desk.asker.given:
             desk.ask(question)
 
@@ -136,6 +145,5 @@ def _can_be_mended(desk: Desk, step: Step, error: ToolkitError) -> bool:
     person.tell(f"! {error}")
     person.tell("  Answer again, or stop with Ctrl-C: what is done is kept.")
     asker = desk.asker
-    answered = [q.name for q in step.asks if asker.knows(q.name) or q.name == BOARD.name]
-    asker.refuse(*answered)
+    asker.refuse(*(q.name for q in step.asks if asker.knows(q.name)), *(q.name for q in step.then))
     return True

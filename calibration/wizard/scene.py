@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calibration.wizard.desk import Desk, Outcome
+from calibration.wizard.light import response_of
 from calibration.wizard.memory import key_of
 from calibration.wizard.named_files import find_pictures, split_words
 from calibration.wizard.quantities import parse_time
@@ -70,14 +71,6 @@ def choose_background(desk: Desk) -> Outcome:
         told.append(f"the files tell the exposure time: {float(background.exposure[0]):.4g} s")
     desk.ask(READOUT)
     return desk.done(STEP, key, told=told)
-
-
-def response_of(desk: Desk) -> str | None:
-    """Give the response as `read_image` takes it; None where it is not known."""
-    from calibration.wizard.light import RESPONSE, UNKNOWN
-
-    spec = desk.ask(RESPONSE)
-    return None if spec == UNKNOWN else spec
 
 
 def _read(pictures: tuple[Path, ...], camera: Path, response: str | None) -> "LinearImage":

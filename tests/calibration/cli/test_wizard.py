@@ -10,6 +10,7 @@ import time
 
 import pytest
 
+from calibration.cli.wizard import spread
 from toolkit.cli.main import main
 from toolkit.rig import read_rig
 
@@ -202,13 +203,23 @@ def test_flags_alone_do_it_and_json_tells_what_was_done(scene, capsys, monkeypat
     assert {name for name, status in steps.items() if status == "done"} == {"ball", "rig"}
 
 
+def test_options_of_pictures_take_what_a_shell_makes_of_a_pattern():
+    words = ["--images", "a", "b", "--radius", "5 cm", "--background", "c", "d", "--json"]
+    assert spread(words) == [
+        *["--images", "a", "--images", "b", "--radius", "5 cm"],
+        *["--background", "c", "--background", "d", "--json"],
+    ]
+    assert spread(["x", "--images", "--json", "y"]) == ["x", "--images", "--json", "y"]
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         (["--images", "a", "--camera", "b"], "--images and --camera are both given"),
         (["--redo", "walls"], "--redo walls is no step; there are board, photos"),
         (["--folder", "gone"], "--folder gone is no folder"),
-        (["a.jpg"], "'a.jpg' stands alone; photos of a board follow --images"),
+        (["--bracket", "a", "--response", "srgb"], "--bracket and --response are both given"),
+        (["a.jpg"], "Got unexpected extra argument"),
         (["--radius", "36"], "--radius: '36' would be 36 metres"),
         (["--shot", "gone.dng"], "--shot: gone.dng does not exist"),
     ],

@@ -56,7 +56,7 @@ def _desk(folder, *lines, given=None, alone=False, **settings):
     asker = Asker(
         folder=folder,
         given=given or {},
-        answers=memory.answers,
+        answers=dict(memory.answers),
         person=None if alone else Script(list(lines)),
     )
     return Desk(folder=folder, asker=asker, memory=memory, **settings)

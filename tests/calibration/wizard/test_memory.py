@@ -26,6 +26,11 @@ def test_what_was_done_is_known_to_the_next_run(memory, tmp_path):
     assert again.steps["lens"].told == ('said "so"',)
 
 
+def test_answers_of_a_step_that_worked_out_take_the_place_of_older_ones(memory, tmp_path):
+    memory.keep_answers(["radius", "shot"], {"shot": ("a.dng",), "images": ("not asked",)})
+    assert read_memory(tmp_path, STEPS).answers == {"shot": ("a.dng",)}
+
+
 def test_a_file_that_changed_or_went_is_noticed(memory, tmp_path):
     camera = tmp_path / "camera.toml"
     assert memory.is_own(camera)

@@ -1,5 +1,6 @@
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -10,6 +11,7 @@ from toolkit.camera_file import read_camera
 from toolkit.cli.main import main
 from toolkit.errors import CalibrationError, ConfigError, ImageError, MismatchError
 from toolkit.imaging import write_png16
+from toolkit.response import load_response
 from toolkit.rig import read_rig
 
 GIVEN = {
@@ -268,3 +270,45 @@ def test_a_sharp_picture_teaches_the_balls_looks(shaded, make_desk, monkeypatch)
     assert rig.estimator == "known-shading"
     assert read_ball(rig.ball).sharp.image.resolve() == shaded / "ball.png"
     assert set(statuses(run_wizard(make_desk(shaded, alone=True))).values()) == {"kept", "skipped"}
+
+
+def write_bracket(folder, times):
+    """8-bit photos of one scene by a camera that stores light to the power of 1/2.2."""
+    folder.mkdir()
+    generator = np.random.default_rng(1)
+    stops = cv2.resize(generator.uniform(-9, 0, (9, 12)), (160, 120), interpolation=cv2.INTER_CUBIC)
+    for number, seconds in enumerate(times):
+        bright = np.clip(seconds * 2.0**stops, 0, 1) ** (1 / 2.2)
+        noisy = 255 * np.clip(bright + generator.normal(0, 1 / 255, bright.shape), 0, 1)
+        grey = np.rint(noisy).astype(np.uint8)
+        cv2.imwrite(str(folder / f"{number}.png"), np.stack([grey] * 3, axis=-1))
+
+
+def test_the_response_is_measured_from_a_bracket(done, make_desk):
+    times = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0]
+    write_bracket(done / "bracket", times)
+    desk = make_desk(
+        done,
+        "bracket",  # the files tell no times
+        *["", "", "1/4,1/2,1,2,4"],  # one is missing
+        *["", "", ",".join(map(str, times))],
+        given={"response": ("bracket",)},
+    )
+    outcomes = run_wizard(desk)
+    heard = "\n".join(desk.asker.person.heard)
+    assert heard.count("Their exposure times in seconds") == 2
+    assert desk.asker.person.lines == []
+    assert "measured from 6 photos, 0.25 to 8 s" in outcomes["response"].told[0]
+    rig = read_rig(done / "rig.toml")
+    light = load_response(rig.response).light(np.array([0.5]), 1)
+    assert light == pytest.approx(0.5**2.2, rel=0.02)
+    assert set(statuses(run_wizard(make_desk(done, alone=True))).values()) == {"kept", "skipped"}
+
+
+def test_a_bracket_that_tells_nothing_is_refused_and_changes_nothing(done, make_desk):
+    write_bracket(done / "dark", [1e-5, 2e-5])
+    before = contents(done)
+    given = {"bracket": ("dark",), "times": ("1,2",)}
+    with pytest.raises(CalibrationError):
+        run_wizard(make_desk(done, given=given, alone=True))
+    assert contents(done) == before
