@@ -10,6 +10,8 @@ if TYPE_CHECKING:
     from calibration.board import Board as Board
     from calibration.corners import View as View
     from calibration.corners import find_boards as find_boards
+    from calibration.formats.convert import export_camera as export_camera
+    from calibration.formats.convert import import_camera as import_camera
     from calibration.intrinsics import Calibration as Calibration
     from calibration.intrinsics import calibrate as calibrate
     from calibration.intrinsics import calibrate_views as calibrate_views
@@ -20,7 +22,9 @@ _HOME = {
     "View": "calibration.corners",
     "calibrate": "calibration.intrinsics",
     "calibrate_views": "calibration.intrinsics",
+    "export_camera": "calibration.formats.convert",
     "find_boards": "calibration.corners",
+    "import_camera": "calibration.formats.convert",
 }
 
 

@@ -4,7 +4,17 @@ import calibration
 
 
 @pytest.mark.parametrize(
-    "name", ["Board", "Calibration", "View", "calibrate", "calibrate_views", "find_boards"]
+    "name",
+    [
+        "Board",
+        "Calibration",
+        "View",
+        "calibrate",
+        "calibrate_views",
+        "export_camera",
+        "find_boards",
+        "import_camera",
+    ],
 )
 def test_public_names_load_when_asked_for(name):
     assert getattr(calibration, name).__name__ == name
