@@ -102,6 +102,19 @@ class KnownShading(AlphaEstimator):
             for _ in range(DRAWS)
         )
 
+    def doubts(self) -> dict[str, str]:
+        """Say that the rim's light is less sure where the sharp picture has more than the ball."""
+        if self.ball.others is not None or self._noise() < LEAST_NOISE:
+            return {}
+        return {
+            "rim-light-doubted": "the sharp picture shows no smoothly shaded ball alone (a pattern "
+            "on it, a shadow or another thing beside it), so that the light of its rim is less "
+            "sure than the stated uncertainties take it to be; show it alone, without its shadow"
+        }
+
+    def _noise(self) -> float:
+        return max(picture_noise(self.ball))
+
     def _with(self, rgb: Tensor) -> "KnownShading":
         other = KnownShading(ball=replace(self.ball, rgb=rgb, others=None))
         return other if self.camera is None else other.seen_through(self.camera)

@@ -107,6 +107,13 @@ class AlphaEstimator(ABC):
         """
         return ()
 
+    def doubts(self) -> dict[str, str]:
+        """Give cautions about what this estimator was told, by code: none, here.
+
+        Every result carries them, as `code` and message.
+        """
+        return {}
+
     @final
     def settled(self, appearance: Tensor) -> "AlphaEstimator":
         """Give the same estimator with its unknowns [A] taken for known."""

@@ -91,6 +91,14 @@ class _Guarded(AlphaEstimator):
             self._refuse("other_lights", "gives something else than estimators")
         return tuple(guarded(other) for other in others)
 
+    def doubts(self) -> dict[str, str]:
+        doubts = self._ask("doubts", self.estimator.doubts)
+        if not isinstance(doubts, dict) or not all(
+            isinstance(text, str) for pair in doubts.items() for text in pair
+        ):
+            self._refuse("doubts", "gives something else than messages by code")
+        return doubts
+
     def unknowns(self) -> int:
         count = self._ask("unknowns", self.estimator.unknowns)
         if isinstance(count, bool) or not isinstance(count, int) or count < 0:

@@ -114,7 +114,10 @@ def measure(
         watch=watch,
     )
     result = {"profiles": by_profiles, "contours": by_contours, "sweep": by_sweep}[stage](task)
-    return replace(result, estimator=name, timing_s=watch.seconds)
+    doubts = (Caution(code=code, message=text) for code, text in estimator.doubts().items())
+    return replace(
+        result, estimator=name, timing_s=watch.seconds, warnings=(*result.warnings, *doubts)
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

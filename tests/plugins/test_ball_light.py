@@ -169,6 +169,15 @@ def test_noise_of_the_sharp_picture_is_told_from_its_shade():
     assert picture_noise(few) == (0.0, 0.0, 0.0)
 
 
+def test_a_noisy_picture_whose_shade_is_not_told_is_doubted():
+    ball = seen_sharply((0.0, 0.0, 0.75))
+    noisy = replace(ball, rgb=ball.rgb + 0.01 * torch.randn(ball.rgb.shape))
+    assert list(KnownShading(ball=noisy).doubts()) == ["rim-light-doubted"]
+    assert KnownShading(ball=ball).doubts() == {}
+    told = replace(noisy, others=noisy.rgb[None])
+    assert KnownShading(ball=told).doubts() == {}
+
+
 def test_what_the_sharp_picture_s_noise_does_to_the_answer_is_stated():
     """Against what the fit's own equations answer to pictures with other noise."""
     shot = render_shot(replace(scene((12.0, 5.0, 0.0)), noise=NoiseLevel(read=0.01)), step=0.5)

@@ -93,6 +93,20 @@ def test_an_infinite_variance_says_that_nothing_was_measured():
     assert torch.isinf(door.observe(picture(), picture(), NOISE).variance).all()
 
 
+def test_doubts_reach_the_result_s_cautions_or_are_refused():
+    class Doubting(Plain):
+        def doubts(self):
+            return {"old-colour": "its colour is a year old"}
+
+    class Mumbling(Plain):
+        def doubts(self):
+            return ["well"]
+
+    assert guarded(Doubting()).doubts() == {"old-colour": "its colour is a year old"}
+    with pytest.raises(BadOutputError, match="something else than messages by code"):
+        guarded(Mumbling()).doubts()
+
+
 @pytest.mark.parametrize(
     ("change", "trouble"),
     [
