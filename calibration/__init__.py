@@ -8,8 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from calibration.board import Board as Board
+    from calibration.board import BoardRequest as BoardRequest
+    from calibration.board_page import write_board as write_board
+    from calibration.corners import BoardSearch as BoardSearch
     from calibration.corners import View as View
     from calibration.corners import find_boards as find_boards
+    from calibration.corners import search_boards as search_boards
     from calibration.formats.convert import export_camera as export_camera
     from calibration.formats.convert import import_camera as import_camera
     from calibration.intrinsics import Calibration as Calibration
@@ -18,12 +22,16 @@ if TYPE_CHECKING:
 
 _HOME = {
     "Board": "calibration.board",
+    "BoardRequest": "calibration.board",
+    "BoardSearch": "calibration.corners",
     "Calibration": "calibration.intrinsics",
     "View": "calibration.corners",
     "calibrate": "calibration.intrinsics",
     "calibrate_views": "calibration.intrinsics",
     "export_camera": "calibration.formats.convert",
     "find_boards": "calibration.corners",
+    "search_boards": "calibration.corners",
+    "write_board": "calibration.board_page",
     "import_camera": "calibration.formats.convert",
 }
 

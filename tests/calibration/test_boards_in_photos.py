@@ -235,3 +235,37 @@ def test_real_charuco_photos_give_24_corners_each(charuco, request_):
     assert [view.reason for view in found.views] == [""] * 4
     assert found.board.squares == (5, 7)
     assert found.cautions == ()
+
+
+def save_jpeg(path, picture, quality=92):
+    """Write light as a JPEG, as cameras code it."""
+    coded = 255 * np.clip(picture.mean(0), 0, 1) ** (1 / 2.2)
+    cv2.imwrite(str(path), np.rint(coded).astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return path
+
+
+def test_spoilt_photos_among_good_ones_are_named(photos, tmp_path):
+    """Out of focus, moved along x and along y, overexposed, saved twice, cut short, turned."""
+    light = [picture.astype(np.float32) for picture in photos.pictures]
+    good = [save_jpeg(tmp_path / f"{i}.jpg", picture) for i, picture in enumerate(light)]
+
+    def spoilt(name, picture):
+        return save_jpeg(tmp_path / name, np.stack(picture))
+
+    soft = spoilt("soft.jpg", [cv2.GaussianBlur(c, (0, 0), 2.0) for c in light[0]])
+    along = spoilt("along.jpg", [cv2.blur(c, (8, 1)) for c in light[1]])
+    down = spoilt("down.jpg", [cv2.blur(c, (1, 8)) for c in light[2]])
+    bright = spoilt("bright.jpg", 5 * light[3])
+    twice = save_jpeg(tmp_path / "twice.jpg", light[4], quality=80)
+    cut = tmp_path / "cut.jpg"
+    cut.write_bytes(good[0].read_bytes()[:9000])
+    turned = spoilt("turned.jpg", light[5].transpose(0, 2, 1)[:, ::-1])
+    found = search_boards([*good, soft, along, down, bright, twice, cut, turned])
+    assert [view.reason for view in found.views[:6]] == [""] * 6
+    reasons = [view.reason for view in found.views[6:]]
+    for reason in reasons[:3]:
+        assert reason.startswith("blurred: its edges are")
+    assert reasons[3].startswith("overexposed: ")
+    assert reasons[4] == f"shows the board exactly where {good[4]} does, saved twice? counted once"
+    assert "is a cut or damaged JPEG" in reasons[5]
+    assert reasons[6].startswith("480x640 px, but most photos are 640x480; a program turned it")

@@ -7,6 +7,8 @@ import calibration
     "name",
     [
         "Board",
+        "BoardRequest",
+        "BoardSearch",
         "Calibration",
         "View",
         "calibrate",
@@ -14,6 +16,8 @@ import calibration
         "export_camera",
         "find_boards",
         "import_camera",
+        "search_boards",
+        "write_board",
     ],
 )
 def test_public_names_load_when_asked_for(name):
