@@ -142,9 +142,9 @@ def _check_kind(kind: str, learnt: "LearntBall") -> None:
 
 def _seen(learnt: "LearntBall") -> list[str]:
     """Say in how many pictures the ball was found, its colours, and what was left out."""
-    colours = learnt.together.colours
+    colours, count = learnt.together.colours, len(learnt.pictures)
     return [
-        f"found in {len(learnt.pictures)} sharp pictures, its colours {COLOURS[colours.kind]}",
+        f"found in {count} sharp picture{'s'[: count > 1]}, its colours {COLOURS[colours.kind]}",
         *(f"left out of {one.of}: {one.path}: {one.reason}" for one in learnt.left_out),
         *(f"caution: {caution}" for caution in learnt.cautions),
     ]

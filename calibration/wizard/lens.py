@@ -15,6 +15,7 @@ from toolkit.camera_file import read_camera, write_camera
 
 if TYPE_CHECKING:
     from calibration.intrinsics import Calibration
+    from calibration.view import View
 
 STEP = "lens"
 REPORT_NAME = "calibration.html"
@@ -111,10 +112,16 @@ def _told(result: "Calibration") -> list[str]:
     return [
         f"{len(result.used)} of {len(result.views)} photos used, {camera.model}, fx {camera.fx:.1f}"
         f" px, the corners within {result.rms_px:.2f} px (RMS)",
-        *(f"left out: {view.path}: {view.reason}" for view in left_out),
+        *(f"left out: {_named(view)}" for view in left_out),
         *(f"caution: {caution.message}" for caution in result.warnings),
         *advice,
     ]
+
+
+def _named(view: "View") -> str:
+    """Name a photo with its reason, where that does not name it."""
+    name = str(view.path)
+    return view.reason if view.reason.startswith(name) else f"{name}: {view.reason}"
 
 
 def _offer_more_photos(desk: Desk, result: "Calibration", outcome: Outcome) -> None:

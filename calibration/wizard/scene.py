@@ -60,17 +60,30 @@ def choose_background(desk: Desk) -> Outcome:
     pictures, camera = desk.ask(BACKGROUND), camera_path(desk)
     response = response_of(desk)
     curve = [Path(response)] if response and Path(response).is_file() else []
-    key = key_of({"response": response}, [*pictures, camera, *curve])
-    if desk.memory.is_done(STEP, key):
+    files = [*pictures, camera, *curve]
+    if desk.memory.is_done(STEP, key_of(_answers(desk), files)):
         return desk.kept(STEP)
     background = _read(pictures, camera, response)
-    told = [f"{len(pictures)} pictures of {background.width}x{background.height} px"]
-    if background.exposure is None:
-        desk.ask(EXPOSURE)
-    else:
-        told.append(f"the files tell the exposure time: {float(background.exposure[0]):.4g} s")
+    count = "1 picture" if len(pictures) == 1 else f"{len(pictures)} pictures"
+    told = [f"{count} of {background.width}x{background.height} px", _exposure(desk, background)]
     desk.ask(READOUT)
-    return desk.done(STEP, key, told=told)
+    return desk.done(STEP, key_of(_answers(desk), files), told=told)
+
+
+def _answers(desk: Desk) -> dict[str, object]:
+    """What was answered so far; whether the exposure time is asked, the files decide."""
+    times = {q.name: desk.asker.answers.get(q.name) for q in (EXPOSURE, READOUT)}
+    return {"response": response_of(desk), **times}
+
+
+def _exposure(desk: Desk, background: "LinearImage") -> str:
+    """Ask for the exposure time where the files do not tell it, and say what is known."""
+    if background.exposure is not None:
+        return f"the files tell the exposure time: {float(background.exposure[0]):.4g} s"
+    seconds = desk.ask(EXPOSURE)
+    if seconds is None:
+        return "the exposure time is not known: no speed will be measured; --exposure SECONDS"
+    return f"exposure time {seconds:.4g} s"
 
 
 def _read(pictures: tuple[Path, ...], camera: Path, response: str | None) -> "LinearImage":

@@ -9,7 +9,7 @@ from calibration.wizard.run import NAMES, run_wizard
 from toolkit.ball_file import read_ball
 from toolkit.camera_file import read_camera
 from toolkit.cli.main import main
-from toolkit.errors import CalibrationError, ConfigError, ImageError, MismatchError
+from toolkit.errors import CalibrationError, ConfigError, ImageError, MismatchError, StreakError
 from toolkit.imaging import write_png16
 from toolkit.response import load_response
 from toolkit.rig import read_rig
@@ -234,6 +234,17 @@ def test_a_report_of_the_camera_is_written(done):
     assert "<h1>Calibration report</h1>" in (done / "calibration.html").read_text()
 
 
+def test_a_check_shot_that_fails_is_explained_and_another_one_asked_for(done, make_desk):
+    desk = make_desk(done, "shot.dng", given={"shot": ("background.dng",)})
+    outcomes = run_wizard(desk)
+    heard = "\n".join(desk.asker.person.heard)
+    assert "Answer again, or stop with Ctrl-C" in heard
+    assert any("speed" in line for line in outcomes["check"].told)
+    with pytest.raises(StreakError):
+        run_wizard(make_desk(done, given={"shot": ("background.dng",)}, alone=True))
+    assert statuses(run_wizard(make_desk(done, alone=True)))["check"] == "kept"
+
+
 def test_every_step_is_remembered_under_its_name(done):
     scene = done
     assert set(read_memory(scene, NAMES).steps) <= set(NAMES)
@@ -265,7 +276,7 @@ def test_a_sharp_picture_teaches_the_balls_looks(shaded, make_desk, monkeypatch)
         run_wizard(make_desk(shaded, given=given | {"kind_of_ball": ("two",)}, alone=True))
     assert not (shaded / "ball.toml").exists()
     outcomes = run_wizard(make_desk(shaded, given=given, alone=True))
-    assert "found in 1 sharp pictures" in outcomes["ball"].told[1]
+    assert "found in 1 sharp picture, " in outcomes["ball"].told[1]
     rig = read_rig(shaded / "rig.toml")
     assert rig.estimator == "known-shading"
     assert read_ball(rig.ball).sharp.image.resolve() == shaded / "ball.png"
