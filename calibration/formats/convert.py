@@ -162,7 +162,7 @@ def _choose(cameras: Cameras, name: str | None) -> ForeignCamera:
 def _import_cautions(camera: ForeignCamera) -> tuple[str, ...]:
     left_out = [f"{what} is left out" for what in camera.left_out]
     unknown = (
-        "the file tells no covariance, so measurements take this camera for exact; calibrate from "
-        "the photos with `toolkit calibrate` to know better"
+        "the file tells no covariance, so measurements leave this camera's error out, and say so; "
+        "calibrate from the photos with `toolkit calibrate` to know it"
     )
     return (*left_out, unknown)

@@ -21,18 +21,21 @@ SCHEMA = "toolkit.learnt-ball/1"
 
 def ball(
     image: Annotated[
-        list[Path] | None,
+        list[str] | None,
         typer.Option(
-            metavar="F", help="A sharp picture of the resting ball; repeat it for several."
+            metavar="F",
+            help="A sharp picture of the resting ball; repeat it for several, or quote a pattern.",
         ),
     ] = None,
     background: Annotated[
-        list[Path] | None,
+        list[str] | None,
         typer.Option(
             metavar="F",
             help="The same view without the ball: one for each picture, or any number for all.",
         ),
     ] = None,
+    # what a shell makes of --image sharp/*.png: nobody could tell pictures from backgrounds
+    more: Annotated[list[str] | None, typer.Argument(hidden=True, metavar="F")] = None,
     response: Annotated[
         str | None,
         typer.Option(metavar="NAME|F", help="linear, srgb, a curve's name, or a response.toml."),
@@ -71,9 +74,9 @@ def ball(
 
     The ball rests in the light in which it will move, and the whole of it is seen.
     """
-    image, background = _required(image, background)
+    pictures, empty = _required(image, background, more)
     curve = Path(response) if response is not None and Path(response).is_file() else None
-    inputs = [*image, *background, *(path for path in (curve, camera) if path)]
+    inputs = [*pictures, *empty, *(path for path in (curve, camera) if path)]
     _check_outputs(out, overlay, inputs)
 
     from toolkit.ball_file import write_ball
@@ -86,10 +89,10 @@ def ball(
         distance_std=distance_std,
     )
     try:
-        with _progress(len(image)) as on_picture:
+        with _progress(len(pictures)) as on_picture:
             learnt = learn_ball(
-                image,
-                background,
+                pictures,
+                empty,
                 told=told,
                 camera=camera,
                 response=curve or response,
@@ -113,15 +116,38 @@ def ball(
 
 
 def _required(
-    image: list[Path] | None, background: list[Path] | None
+    image: list[str] | None, background: list[str] | None, more: list[str] | None
 ) -> tuple[list[Path], list[Path]]:
+    if more:
+        raise ConfigError(
+            f"'{more[0]}' stands without a flag; name each picture by an --image of its own, or "
+            "put a pattern in quotes: --image 'sharp/*.png'"
+        )
     if not image or not background:
         missing = [
             *([] if image else ["a sharp picture of the ball: --image F"]),
             *([] if background else ["the same view without the ball: --background F"]),
         ]
         raise ConfigError(f"the ball cannot be learnt without {'; and '.join(missing)}")
-    return image, background
+    return _expanded("--image", image), _expanded("--background", background)
+
+
+def _expanded(flag: str, words: Sequence[str]) -> list[Path]:
+    """Give the files that words name; a word that is no file but a pattern stands for its matches.
+
+    Raises:
+        ConfigError: when a pattern matches nothing.
+    """
+    from glob import glob, has_magic
+
+    paths: list[Path] = []
+    for word in words:
+        is_pattern = has_magic(word) and not Path(word).exists()
+        matches = sorted(glob(word)) if is_pattern else [word]
+        if not matches:
+            raise ConfigError(f"{flag} {word}: no file matches; check the folder and the ending")
+        paths += map(Path, matches)
+    return paths
 
 
 def _check_outputs(out: Path, overlay: Path | None, inputs: Sequence[Path]) -> None:

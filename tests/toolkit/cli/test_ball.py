@@ -238,3 +238,14 @@ def test_failure_leaves_the_older_file(words, tmp_path, capsys):
     assert main([*words, "--distance", "0.7"]) == 2
     assert "give --camera F" in capsys.readouterr().err
     assert (tmp_path / "ball.toml").read_text() == "older\n"
+
+
+def test_patterns_in_quotes_name_several(three, tmp_path, capsys):
+    line = ["ball", "--image", str(tmp_path / "s[01].png")]
+    line += ["--background", str(tmp_path / "b[01].png"), "--out", str(tmp_path / "ball.toml")]
+    assert main(line) == 0
+    assert capsys.readouterr().out.count("picture  ") == 2
+    assert main([*line[:2], str(tmp_path / "t*.png"), *line[3:]]) == 2
+    assert "no file matches" in capsys.readouterr().err
+    assert main([*line, "unquoted.png"]) == 2
+    assert "put a pattern in quotes" in capsys.readouterr().err
