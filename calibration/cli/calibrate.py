@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from calibration.corners import BoardSearch, View
     from calibration.intrinsics import Calibration
+    from toolkit.response import Response
 
 SCHEMA = "toolkit.calibration/1"
 
@@ -50,12 +51,19 @@ def calibrate(
     out: Annotated[Path, typer.Option(metavar="FILE", help="Where the camera goes.")] = Path(
         "camera.toml"
     ),
+    report: Annotated[
+        Path | None, typer.Option(metavar="F.html", help="Write a page that shows how good it is.")
+    ] = None,
+    response: Annotated[
+        str | None, typer.Option(metavar="NAME|F", help="A response curve for that page.")
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Calibrate a camera from photos of a checkerboard or a ChArUco board."""
     paths = expand([*(images or []), *(more or [])])
     size = parse_board(board)
     _check_out(out, paths)
+    curve = _check_report(report, response, [out, *paths])
     from calibration.board import BoardRequest
     from calibration.corners import search_boards
     from calibration.intrinsics import calibrate_views, check_request
@@ -73,6 +81,10 @@ def calibrate(
         raise
     result = replace(result, warnings=(*found.cautions, *result.warnings))
     _write(out, result)
+    if report is not None:
+        from calibration.report.collect import write_report
+
+        write_report(report, result, square=square, response=curve)
     typer.echo(_json_text(found, result, out, square) if json else _text(found, result, out))
 
 
@@ -81,6 +93,27 @@ def _check_out(out: Path, photos: Sequence[Path]) -> None:
         raise ConfigError(f"--out {out}: its folder does not exist; create it or choose another")
     if out.resolve() in {photo.resolve() for photo in photos}:
         raise ConfigError(f"--out {out} is one of the photos; choose another name")
+
+
+def _check_report(
+    report: Path | None, response: str | None, taken: Sequence[Path]
+) -> "Response | None":
+    """See that the page can be written, before the work; give the response it is to show."""
+    if response is not None and report is None:
+        raise ConfigError("--response is drawn on the report's page; add --report F.html")
+    if report is None:
+        return None
+    if report.suffix.lower() not in (".html", ".htm"):
+        raise ConfigError(f"--report is {report}; its name must end in .html")
+    if not report.absolute().parent.is_dir():
+        raise ConfigError(f"--report {report}: its folder does not exist; create it")
+    if report.resolve() in {path.resolve() for path in taken}:
+        raise ConfigError(f"--report {report} is a photo or the camera; choose another name")
+    if response is None:
+        return None
+    from toolkit.response import load_response
+
+    return load_response(response)
 
 
 def expand(words: Sequence[str]) -> list[Path]:
