@@ -18,6 +18,7 @@ from torch import Tensor
 from toolkit.box_filter import box_mean
 from toolkit.demosaicing import Pattern, demosaic, reach
 from toolkit.errors import ShapeError
+from toolkit.response import CurveDoubt
 
 
 class ProfileFlag(IntFlag):
@@ -80,6 +81,7 @@ class LinearImage:
     crop: tuple[int, int, int, int] | None = None
     response: str = "linear"  # how stored brightness became light
     response_is_assumed: bool = False  # nobody named it, it was guessed from the file kind
+    curve_doubt: CurveDoubt | None = None  # how a measured response may err; None: not measured
     frames: float = 1  # how many pictures were combined into this one (noise is smaller by that)
 
     def __post_init__(self) -> None:

@@ -212,8 +212,9 @@ def test_what_the_sharp_picture_s_noise_does_to_the_answer_is_stated():
     scatter = torch.stack(answers)[:, :7].square().mean(0).sqrt()
     options = {"finer": None, "ball_radius_std": 0, "exposure_std_share": 0}
     quiet = SimpleNamespace(factor=1.0)
+    options |= {"response_changes": torch.zeros(0)}
     stated = [
-        sweep_uncertainty(one, quiet, response_change=None, **options).order.diagonal()[:7].sqrt()
+        sweep_uncertainty(one, quiet, **options).order.diagonal()[:7].sqrt()
         for one in (fit, replace(fit, model=replace(model, estimator=noisy)))
     ]
     assert (stated[0] == 0).all()

@@ -81,6 +81,7 @@ def read_raw(path: Path, response: Response = LINEAR) -> LinearImage:
         pattern=pattern,
         crop=None if window == visible else crop,
         response=response.name,
+        curve_doubt=response.doubt(),
     )
 
 

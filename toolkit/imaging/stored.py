@@ -61,6 +61,7 @@ def to_linear(path: Path, stored: StoredPicture, response: str | Path | None) ->
         exposure=exposure_tensor(stored.exposure),
         response=curve.name,
         response_is_assumed=is_assumed,
+        curve_doubt=curve.doubt(),
     )
 
 

@@ -48,7 +48,7 @@ def sweep_uncertainty(
     finer: SweepFit | None,
     ball_radius_std: float,
     exposure_std_share: float,
-    response_change: Tensor | None,
+    response_changes: Tensor,
 ) -> Uncertainty:
     """Propagate every source to the state.
 
@@ -62,8 +62,8 @@ def sweep_uncertainty(
             one standard deviation.
         ball_radius_std: m.
         exposure_std_share: standard deviation of the exposure over itself.
-        response_change: of signal less ground behind alpha [Q, N], for one standard deviation of
-            the response; None where it is known.
+        response_changes: of signal less ground behind alpha [M, Q, N], for one standard deviation
+            of each independent error of the response; none where it is known.
     """
     k, J = fit.model.path.size, J_state(fit)
     state = motion_of(fit).state()
@@ -73,9 +73,10 @@ def sweep_uncertainty(
     speeds[3 : SPEED + 1] = 1
     by_radius = state * lengths * (ball_radius_std / fit.model.ball_radius)
     by_exposure = state * speeds * exposure_std_share
-    by_response = torch.zeros_like(state)
-    if response_change is not None:
-        by_response = J @ _answer_to_response(fit, response_change)[:k]
+    by_response = torch.zeros(len(J), len(J), dtype=torch.float64)
+    for change in response_changes:
+        answer = J @ _answer_to_response(fit, change)[:k]
+        by_response += torch.outer(answer, answer)
     by_order = torch.zeros_like(state) if finer is None else motion_of(finer).state() - state
     return Uncertainty(
         noise=J @ fit.path_covariance @ J.mT * misfit.factor,
@@ -83,7 +84,7 @@ def sweep_uncertainty(
         camera=_camera_covariance(fit, J),
         radius=torch.outer(by_radius, by_radius),
         exposure=torch.outer(by_exposure, by_exposure),
-        brightness=torch.outer(by_response, by_response),
+        brightness=by_response,
     )
 
 

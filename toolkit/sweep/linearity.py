@@ -8,10 +8,13 @@ fitted, and tells the exponent. [derived]
 import math
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator
+from toolkit.demosaicing import tile
+from toolkit.response import CurveDoubt
 from toolkit.sweep.fit import SweepFit
 from toolkit.sweep.pixels import Frame
 from toolkit.types import LinearImage
@@ -95,18 +98,30 @@ def _power_slope(light: Tensor) -> Tensor:
     return light * light.clamp_min(DARKEST).log()
 
 
-def response_change(
-    view: StreakView, estimator: AlphaEstimator, frame: Frame, fit: SweepFit, std: float
-) -> Tensor | None:
-    """Give how the pixels change [Q, N] for one standard deviation of the exponent; None for 0."""
-    if std == 0:
-        return None
-    shot, empty = (_with_exponent(picture, 1 + std) for picture in (view.shot, view.background))
-    other = estimator.observe(shot, empty, view.noise)
+def response_changes(
+    view: StreakView, estimator: AlphaEstimator, frame: Frame, fit: SweepFit, linearity: Linearity
+) -> Tensor:
+    """Give how the pixels change [M, Q, N] for each independent error of the response.
+
+    A measured curve errs in the ways it was measured with; where the streak asks for more than
+    these allow, and wherever a curve was only named, the exponent errs.
+    """
+    doubt = view.shot.curve_doubt
+    pictures = []
+    if doubt is not None:
+        for mode in range(len(doubt.changes)):
+            pictures.append([_with_mode(p, doubt, mode) for p in (view.shot, view.background)])
+    if linearity.std > 0 and (doubt is None or linearity.is_doubted):
+        exponent = 1 + linearity.std
+        pictures.append([_with_exponent(p, exponent) for p in (view.shot, view.background)])
     column, row = _places(frame, fit)
-    signal, ground = other.signal[0][:, row, column], other.ground[0][:, row, column]
     rest = 1 - fit.seen.coverage.alpha
-    return (signal - fit.pixels.signal) - rest * (ground - fit.pixels.ground)
+    changes = torch.zeros(len(pictures), *fit.pixels.signal.shape, dtype=torch.float64)
+    for change, (shot, empty) in zip(changes, pictures, strict=True):
+        other = estimator.observe(shot, empty, view.noise)
+        signal, ground = other.signal[0][:, row, column], other.ground[0][:, row, column]
+        change += (signal - fit.pixels.signal) - rest * (ground - fit.pixels.ground)
+    return changes
 
 
 def _places(frame: Frame, fit: SweepFit) -> tuple[Tensor, Tensor]:
@@ -118,7 +133,18 @@ def _places(frame: Frame, fit: SweepFit) -> tuple[Tensor, Tensor]:
 def _known_std(shot: LinearImage) -> float:
     if shot.response_is_assumed:
         return ASSUMED_STD
+    if shot.curve_doubt is not None:
+        return shot.curve_doubt.exponent_std()
     return 0.0 if shot.response == "linear" else NAMED_STD
+
+
+def _with_mode(picture: LinearImage, doubt: CurveDoubt, mode: int) -> LinearImage:
+    light = picture.recorded.numpy()
+    changed = np.stack([doubt.change(light[:, c % light.shape[1]], mode, c) for c in range(3)], 1)
+    if picture.mosaic is not None and picture.pattern is not None:
+        site = tile(np.array(picture.pattern), light.shape[-2:])
+        changed = np.choose(site, changed[0])[None, None]
+    return picture.remade(picture.recorded + torch.from_numpy(changed).to(picture.recorded))
 
 
 def _with_exponent(picture: LinearImage, exponent: float) -> LinearImage:

@@ -14,7 +14,7 @@ from toolkit.sweep.describe import SweepResult
 from toolkit.sweep.doubt import motion_of, sweep_uncertainty
 from toolkit.sweep.fit import SweepFit, outline
 from toolkit.sweep.likelihood import compare
-from toolkit.sweep.linearity import judge_linearity, response_change
+from toolkit.sweep.linearity import judge_linearity, response_changes
 from toolkit.sweep.misfit import Misfit, look_for_misfit, with_coarse_misfit
 from toolkit.sweep.model import SweepModel
 from toolkit.sweep.paths import STRAIGHT
@@ -104,7 +104,7 @@ def refine(
         finer=finer_shade(fit, frame),
         ball_radius_std=ball_radius_std,
         exposure_std_share=exposure_std_share,
-        response_change=response_change(view, estimator, frame, fit, linearity.std),
+        response_changes=response_changes(view, estimator, frame, fit, linearity),
     )
     return SweepResult(
         fit=fit,

@@ -27,7 +27,12 @@ def found(seen):
     fit = seen.fit()
     misfit = look_for_misfit(fit)
     uncertainty = sweep_uncertainty(
-        fit, misfit, finer=None, ball_radius_std=0.0, exposure_std_share=0.0, response_change=None
+        fit,
+        misfit,
+        finer=None,
+        ball_radius_std=0.0,
+        exposure_std_share=0.0,
+        response_changes=torch.zeros(0),
     )
     linear = Linearity(known=0.0)
     return SweepResult(fit=fit, misfit=misfit, linearity=linear, uncertainty=uncertainty)

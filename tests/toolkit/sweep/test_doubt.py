@@ -24,7 +24,7 @@ def doubt_of(fit, **changes):
         "finer": None,
         "ball_radius_std": 0.0,
         "exposure_std_share": 0.0,
-        "response_change": None,
+        "response_changes": torch.zeros(0),
     }
     return sweep_uncertainty(fit, QUIET, **(options | changes))
 
@@ -53,7 +53,7 @@ def test_noise_is_the_inverse_of_the_information(seen):
         finer=None,
         ball_radius_std=0.0,
         exposure_std_share=0.0,
-        response_change=None,
+        response_changes=torch.zeros(0),
     )
     assert torch.allclose(wider.noise, 3 * noise)
 
@@ -141,7 +141,7 @@ def test_another_response_moves_the_answer_as_told(seen):
     rest = 1 - fit.seen.coverage.alpha
     signal, ground = (light[:, y, x].double() for light in (other.signal, other.ground))
     change = signal - fit.pixels.signal - rest * (ground - fit.pixels.ground)
-    told = doubt_of(fit, response_change=change).brightness.diagonal()[KEPT].sqrt()
+    told = doubt_of(fit, response_changes=change[None]).brightness.diagonal()[KEPT].sqrt()
     assert torch.allclose(told, expected.abs(), rtol=0.15, atol=0.1 * float(expected.abs().max()))
     # where nobody names the response, by five per cent, it counts for more than noise
     assert 5 * float(told[-1]) > float(doubt_of(fit).noise[SPEED, SPEED].sqrt())

@@ -1,9 +1,13 @@
 from dataclasses import replace
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import torch
 
 from plugins.uniform import Uniform
+from toolkit.response import CurveDoubt
+from toolkit.sweep.doubt import motion_of, sweep_uncertainty
 from toolkit.sweep.fit import fit_sweep
 from toolkit.sweep.linearity import (
     ASSUMED_STD,
@@ -11,9 +15,12 @@ from toolkit.sweep.linearity import (
     NAMED_STD,
     Linearity,
     judge_linearity,
-    response_change,
+    response_changes,
 )
 from toolkit.view import observe_streak
+
+KEPT = [0, 1, 2, 3, 4, 6]
+"""Of the state: all but the velocity in depth, which a path across the view hardly tells."""
 
 
 @pytest.fixture(scope="module")
@@ -82,5 +89,63 @@ def test_a_signal_that_is_no_light_has_no_exponent():
 
 def test_a_known_response_changes_nothing(seen):
     view = observe_streak(seen.shot.image, seen.shot.background, seen.estimator)
-    fit = seen.fit()
-    assert response_change(view, seen.estimator, seen.frame(), fit, 0.0) is None
+    known = Linearity(known=0.0)
+    assert len(response_changes(view, seen.estimator, seen.frame(), seen.fit(), known)) == 0
+
+
+@pytest.fixture(scope="module")
+def doubt():
+    """Errors of measured curves: an exponent in green, a bend in the middle of blue."""
+    light = torch.linspace(0, 1, 101, dtype=torch.float64).numpy()
+    changes = np.zeros((2, 3, 101))
+    changes[0, 1] = 0.05 * light * np.log(np.maximum(light, 1e-3))
+    changes[1, 2] = 0.02 * np.sin(np.pi * light)
+    return CurveDoubt(light=np.stack([light] * 3), changes=changes)
+
+
+def test_a_measured_curve_errs_in_its_own_ways(seen, doubt):
+    """Each shifts the answer as a picture does whose light was changed by it."""
+    image, background = (
+        replace(picture, curve_doubt=doubt, response="response.toml")
+        for picture in (seen.shot.image, seen.shot.background)
+    )
+    view = observe_streak(image, background, seen.estimator)
+    view = replace(view, corner=(0, 0), shot=image, background=background)
+    frame, fit = seen.frame(), seen.fit()
+    known = judge_linearity(
+        replace(view, smooth_ground=seen.shot.clean_background[None]), frame, fit, 1.0
+    ).known
+    assert known == pytest.approx(doubt.exponent_std())
+    changes = response_changes(view, seen.estimator, frame, fit, Linearity(known=known))
+    assert len(changes) == 2
+    assert (changes[0, [0, 2]].abs() < 1e-7).all()
+    quiet = SimpleNamespace(factor=1.0)
+    for mode, change in enumerate(changes):
+        signal, ground = (light.clone() for light in (frame.signal, frame.ground))
+        for light in (signal, ground):
+            for channel in range(3):
+                by = doubt.change(light[channel].numpy(), mode, channel)
+                light[channel] += torch.from_numpy(by).to(light)
+        other = replace(frame, signal=signal, ground=ground)
+        refitted = fit_sweep(seen.model(), fit.parameters, other, doubt=1.0)
+        expected = (motion_of(refitted).state() - motion_of(fit).state())[KEPT]
+        told = sweep_uncertainty(
+            fit,
+            quiet,
+            finer=None,
+            ball_radius_std=0.0,
+            exposure_std_share=0.0,
+            response_changes=change[None],
+        ).brightness.diagonal()[KEPT]
+        close = 0.15 * float(expected.abs().max())
+        assert torch.allclose(told.sqrt(), expected.abs(), rtol=0.2, atol=close)
+
+
+def test_a_streak_that_doubts_a_measured_curve_adds_the_exponent(seen, doubt):
+    image = replace(seen.shot.image, curve_doubt=doubt)
+    view = replace(
+        observe_streak(image, seen.shot.background, seen.estimator), corner=(0, 0), shot=image
+    )
+    doubted = Linearity(known=0.01, found=0.2, found_std=0.01)
+    changes = response_changes(view, seen.estimator, seen.frame(), seen.fit(), doubted)
+    assert len(changes) == 3
