@@ -11,6 +11,7 @@ from calibration.held_out import HeldOut, held_out
 from calibration.lens_fit import Corners, LensFit, fit_lens, residuals, total_rms
 from calibration.lens_models import FISHEYE, K1_K2, LensModel, models_of
 from calibration.lens_start import first_fit
+from calibration.projection_doubt import sample_pixels
 from toolkit.camera import Camera
 from toolkit.errors import CalibrationError
 
@@ -18,8 +19,18 @@ Array = NDArray[np.float64]
 
 LEAST_GAIN = 0.04
 """Mean fall of the log squared held-out error for which more terms are taken."""
+OTHER_KIND_GAIN = 0.1
+"""The same for another kind of lens: few views of a narrow lens cannot tell the kinds apart."""
 WIDEST_GAIN = 1.5
 """A single view's gain counts at most this much, so that one odd view decides nothing."""
+
+
+EXACT = 1e-12
+"""Relative fall of the squares at which the lens that was taken has settled."""
+HOPELESS = 1.6
+"""A lens is not tried with a bent board when its RMS exceeds the best one's by this factor."""
+INVERTIBLE = 0.98
+"""Share of the picture whose rays a lens should tell, where another one predicts as well."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -79,28 +90,50 @@ def choose_again(corners: Corners, before: Choice, still: NDArray[np.bool_]) -> 
     return _choose([fit_lens(corners, start) for start in starts], corners)
 
 
+def polished(corners: Corners, choice: Choice) -> Choice:
+    """Settle the lens that was taken to the last digits."""
+    better = _tried(corners, fit_lens(corners, choice.taken.fit, settled=EXACT))
+    tried = tuple(better if one is choice.taken else one for one in choice.tried)
+    return Choice(taken=better, tried=tried)
+
+
 def _choose(flat: Sequence[LensFit], corners: Corners) -> Choice:
-    tried = []
-    for fit in flat:
-        tried.append(_tried(corners, fit))
-        tried.append(_tried(corners, fit_lens(corners, replace(fit, is_bent=True))))
+    tried = [_tried(corners, fit) for fit in flat]
+    limit = HOPELESS * min(one.rms_px for one in tried)
+    promising = [one.fit for one in tried if one.rms_px <= limit]
+    bent = [fit_lens(corners, replace(fit, is_bent=True)) for fit in promising]
+    tried += [_tried(corners, fit) for fit in bent]
     tried = [one for one in tried if np.isfinite(one.held_out.rms_px)]
     if len(tried) < 2:
         raise CalibrationError(
             "the views do not determine a lens; tilt the board more, in several directions"
         )
-    # with a bent board first: a flat one would be bought more lens terms
-    sound = [one for one in tried if _is_invertible(one.fit, corners)] or tried
-    bent = fewest_terms([one for one in sound if one.fit.is_bent] or sound)
-    level = [one for one in sound if not one.fit.is_bent]
-    same = [one for one in level if one.fit.model == bent.fit.model]
-    if not level or (same and is_better(bent.held_out, same[0].held_out)):
-        return Choice(taken=bent, tried=tuple(tried))
-    return Choice(taken=fewest_terms(level), tried=tuple(tried))
+    taken = _take(tried)
+    sound = [one for one in tried if _is_invertible(one.fit, corners)]
+    if sound and taken not in sound:
+        instead = _take(sound)
+        taken = taken if is_better(taken.held_out, instead.held_out) else instead
+    return Choice(taken=taken, tried=tuple(tried))
+
+
+def _take(tried: Sequence[Tried]) -> Tried:
+    """Take the fewest terms, the board's bend being the last of them.
+
+    The lens is first chosen with a bent board: a flat one would be bought more lens terms.
+    """
+    bent = [one for one in tried if one.fit.is_bent]
+    flat = [one for one in tried if not one.fit.is_bent]
+    if not (bent and flat):
+        return fewest_terms(tried)
+    best = fewest_terms(bent)
+    same = [one for one in flat if one.fit.model == best.fit.model]
+    if same and not is_better(best.held_out, same[0].held_out):
+        return fewest_terms(flat)
+    return best
 
 
 def _is_invertible(fit: LensFit, corners: Corners) -> bool:
-    """Whether the lens has one ray for every corner of the picture; terms of noise fold there."""
+    """Whether the lens has one ray for nearly every pixel; terms that fit noise fold early."""
     width, height = corners.picture_size
     fx, fy, cx, cy, *distortion = fit.lens.tolist()
     camera = Camera(
@@ -113,9 +146,8 @@ def _is_invertible(fit: LensFit, corners: Corners) -> bool:
         cy=cy,
         distortion=tuple(distortion),
     )
-    right, bottom = width - 1.0, height - 1.0
-    places = torch.tensor([[0.0, 0.0], [right, 0.0], [0.0, bottom], [right, bottom]]).double()
-    return bool(torch.isfinite(camera.undistort(places)).all())
+    rays = camera.undistort(sample_pixels(camera))
+    return float(torch.isfinite(rays).all(dim=-1).double().mean()) >= INVERTIBLE
 
 
 def _tried(corners: Corners, fit: LensFit) -> Tried:
@@ -130,12 +162,13 @@ def fewest_terms(tried: Sequence[Tried]) -> Tried:
     """Take the first, and each later one that predicts left-out views better than what is taken."""
     taken = tried[0]
     for one in tried[1:]:
-        if is_better(one.held_out, taken.held_out):
+        is_alike = one.fit.model.family == taken.fit.model.family
+        if is_better(one.held_out, taken.held_out, LEAST_GAIN if is_alike else OTHER_KIND_GAIN):
             taken = one
     return taken
 
 
-def is_better(richer: HeldOut, simpler: HeldOut) -> bool:
+def is_better(richer: HeldOut, simpler: HeldOut, least: float = LEAST_GAIN) -> bool:
     """Whether richer terms lower the held-out errors by more than one standard error of that.
 
     View by view, in logarithms and bounded: neither a few large errors nor one view decide.
@@ -143,7 +176,7 @@ def is_better(richer: HeldOut, simpler: HeldOut) -> bool:
     gain = np.log((simpler.squares + 1e-12) / (richer.squares + 1e-12))
     gain = np.clip(gain, -WIDEST_GAIN, WIDEST_GAIN)
     error = float(gain.std(ddof=1)) / np.sqrt(len(gain))
-    return bool(gain.mean() > max(LEAST_GAIN, error))
+    return bool(gain.mean() > max(least, error))
 
 
 def _try_flat(corners: Corners, family: str) -> list[LensFit]:

@@ -66,8 +66,7 @@ def held_out(corners: Corners, fit: LensFit, folds: NDArray[np.int64] | None = N
     """
     reduced = reduce_poses(corners, fit)
     rounds = folds_of(corners.views) if folds is None else folds
-    shift = np.stack([_without(reduced, rounds == fold) for fold in range(int(rounds.max()) + 1)])
-    moved = shift[rounds]
+    moved = _without(reduced, rounds)[rounds]
     columns = len(fit.model.columns)
     lens = np.tile(fit.lens, (corners.views, 1))
     lens[:, list(fit.model.columns)] += moved[:, :columns]
@@ -84,11 +83,12 @@ def held_out(corners: Corners, fit: LensFit, folds: NDArray[np.int64] | None = N
     )
 
 
-def _without(reduced: Reduced, left_out: NDArray[np.bool_]) -> Array:
-    """By how much lens and bend move when views are left out, [S]."""
-    kept = ~left_out
-    information = reduced.information[kept].sum(axis=0)
-    scale = 1 / np.sqrt(np.maximum(np.diagonal(information), 1e-300))
-    scaled = scale[:, None] * information * scale + 1e-12 * np.eye(len(scale))
-    slope = reduced.slope[kept].sum(axis=0)
-    return np.asarray(-scale * np.linalg.solve(scaled, scale * slope))
+def _without(reduced: Reduced, rounds: NDArray[np.int64]) -> Array:
+    """By how much lens and bend move when the views of each round are left out, [F, S]."""
+    is_kept = (rounds != np.arange(rounds.max() + 1)[:, None]).astype(np.float64)
+    information = np.einsum("fv,vst->fst", is_kept, reduced.information)
+    slope = is_kept @ reduced.slope
+    scale = 1 / np.sqrt(np.maximum(np.diagonal(information, axis1=1, axis2=2), 1e-300))
+    scaled = scale[:, :, None] * information * scale[:, None]
+    scaled += 1e-12 * np.eye(scaled.shape[-1])
+    return np.asarray(-scale * np.linalg.solve(scaled, (scale * slope)[..., None])[..., 0])

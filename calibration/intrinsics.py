@@ -10,18 +10,21 @@ import torch
 from numpy.typing import NDArray
 
 from calibration.advice import Advice, advice_text, advise
+from calibration.board import BoardRequest
 from calibration.bootstrap import bootstrap_covariance
 from calibration.choose_lens import Tried
-from calibration.corners import View, find_boards
+from calibration.corners import View, search_boards
 from calibration.coverage import count_cells, facing, tilt_counts
 from calibration.halves import compare_halves
 from calibration.lens_doubt import Doubt, lens_doubt
 from calibration.lens_fit import LensFit, residuals, view_rms
 from calibration.lens_models import FAMILIES
+from calibration.plain_trust import gate_lines, score_text
 from calibration.projection_doubt import projection_std
 from calibration.robust_choice import Kept, choose_robustly
 from calibration.trust import FEWEST_VIEWS, Evidence, Gate, Halves, gates_of
 from toolkit.camera import Camera
+from toolkit.camera_file import write_camera
 from toolkit.errors import CalibrationError, ConfigError, ImageError
 from toolkit.measurement import Caution
 
@@ -112,8 +115,11 @@ def calibrate(
         CalibrationError: too few different views, or views that leave the focal length open.
     """
     check_request(images, board, square, model, bootstrap)
-    views = find_boards(images, board=board, on_photo=on_photo)
-    return calibrate_views(views, square=square, model=model, bootstrap=bootstrap)
+    request = BoardRequest(size=board, square_m=square)
+    found = search_boards(images, board=request, on_photo=on_photo)
+    return calibrate_views(
+        found.views, square=square, model=model, bootstrap=bootstrap, cautions=found.cautions
+    )
 
 
 def calibrate_views(
@@ -161,6 +167,21 @@ def calibrate_views(
         corner_std_px=doubt.corner_px,
         bootstrap_ratio=ratio,
         warnings=(*cautions, *kept.cautions, *_cautions(gates)),
+    )
+
+
+def write_calibration(path: Path, result: Calibration) -> None:
+    """Write camera.toml with how the lens was got; see `toolkit.camera_file.write_camera`."""
+    names = [view.path.name for view in result.used]
+    write_camera(
+        path,
+        result.camera,
+        rms_px=result.rms_px,
+        held_out_px=result.held_out_px,
+        views=len(names),
+        images=names,
+        model_scores=[score_text(score) for score in result.model_scores],
+        gates=gate_lines(result),
     )
 
 
@@ -257,8 +278,9 @@ def _widen(doubt: Doubt, drawn: Array) -> tuple[Array, tuple[float, ...]]:
     """Widen the covariance where the bootstrap scatters more; give their ratio for fx fy cx cy."""
     std = np.sqrt(np.diagonal(doubt.covariance))
     ratio = np.sqrt(np.diagonal(drawn)) / np.where(std > 0, std, np.inf)
-    factor = np.maximum(1, ratio)
-    return factor[:, None] * doubt.covariance * factor, tuple(ratio[:4].tolist())
+    # one factor for all: the terms of a distortion undo each other, which must stay so
+    factor = max(1.0, float(ratio[:4].max()))
+    return factor**2 * doubt.covariance, tuple(ratio[:4].tolist())
 
 
 def _evidence(camera: Camera, kept: Kept) -> Evidence:

@@ -35,28 +35,32 @@ def lens_doubt(corners: Corners, choice: Choice) -> Doubt:
     Corner errors as they scatter give its scale. Where left-out views miss by more than that
     allows, in directions the lens could mend, errors are common to a view's corners and the
     covariance is widened by as much. Terms that the data did not ask for may be there all the same:
-    what the next richer lens, and a bent board where a flat one was taken, would change counts as
-    one standard deviation each. Source: derived.
+    what the next richer lens, and a bent board where a flat one was taken, would change beyond what
+    its own noise explains counts as one standard deviation each. Source: derived.
 
     Raises:
         CalibrationError: when a number is not determined at all.
     """
     taken = choice.taken
     reduced = reduce_poses(corners, taken.fit)
-    unit = _inverse(reduced.information.sum(axis=0))
+    information = reduced.information.sum(axis=0)
+    unit = _inverse(information)
     freedom = 2 * float((corners.weight > 0).sum()) - taken.fit.shared - 6 * corners.views
     variance = float((reduced.residual**2).sum()) / max(freedom, 1.0)
     common = _common_share(reduced, corners.views, variance)
     columns = list(taken.fit.model.columns)
-    covariance = np.zeros((len(taken.fit.lens),) * 2)
-    covariance[np.ix_(columns, columns)] = common * variance * unit[: len(columns), : len(columns)]
+    covariance = common * variance * unit
     focal = 0.0
     for other in _richer(choice):
-        change = (other.fit.lens - _widened(taken, other))[: len(taken.fit.lens)]
-        covariance += np.outer(change, change)
+        change = _compensated(information, other.fit.lens[:4] - taken.fit.lens[:4])
+        richer = common * variance * _inverse(reduce_poses(corners, other.fit).information.sum(0))
+        change = change * _beyond_chance(change[:4], richer[:4, :4] - covariance[:4, :4])
+        covariance = covariance + np.outer(change, change)
         focal = float(np.hypot(focal, change[:2].mean()))
+    whole = np.zeros((len(taken.fit.lens),) * 2)
+    whole[np.ix_(columns, columns)] = covariance[: len(columns), : len(columns)]
     return Doubt(
-        covariance=covariance,
+        covariance=whole,
         corner_px=variance**0.5,
         common=common,
         model_px=focal,
@@ -73,11 +77,22 @@ def _richer(choice: Choice) -> list[Tried]:
     return [one for one in others if one is not None]
 
 
-def _widened(taken: Tried, other: Tried) -> Array:
-    """The lens taken, with zeros for the terms it has not."""
-    lens = np.zeros(len(other.fit.lens))
-    lens[: len(taken.fit.lens)] = taken.fit.lens
-    return lens
+def _compensated(information: Array, change: Array) -> Array:
+    """Let all other numbers follow a change of [fx fy cx cy] as the corners ask, [S].
+
+    The richer lens's own change of the shared terms would not do: its further terms undo it.
+    """
+    follow = np.linalg.lstsq(information[4:, 4:], -information[4:, :4] @ change, rcond=None)[0]
+    return np.concatenate([change, follow])
+
+
+def _beyond_chance(change: Array, chance: Array) -> float:
+    """Share of a change that its own noise, of covariance `chance`, does not explain."""
+    values, vectors = np.linalg.eigh(chance)
+    seen = vectors.T @ change
+    floor = 1e-6 * max(float(values[-1]), 1e-12)
+    strength = float((seen**2 / np.maximum(values, floor)).sum())
+    return float(max(0.0, 1 - len(change) / max(strength, 1e-300)) ** 0.5)
 
 
 def _inverse(information: Array, floor: float = 0.0) -> Array:

@@ -24,6 +24,8 @@ FOCAL_SHARES = (0.32, 0.5, 0.8, 1.3, 2.5)
 TRIED = 2
 """Starts that are followed, those the corners fit best."""
 TRIAL_STEPS = 8
+GOOD_START = 0.001
+"""RMS over the picture's diagonal at which no other focal length is tried."""
 ODD_VIEW = 3.0
 """RMS over the median from which a view is held down while the first lens is fitted."""
 
@@ -42,14 +44,21 @@ def first_fit(corners: Corners, model: LensModel, focals: Sequence[float] = ()) 
         CalibrationError: when the views do not determine a lens.
     """
     guess = focal_guess(corners)
+    likely = [*focals, *([guess] if guess else [])][:1]
     long_side = max(corners.picture_size)
-    focals = [*focals, *([guess] if guess else []), *(s * long_side for s in FOCAL_SHARES)]
-    starts = [start_lens(corners, model, focal) for focal in focals]
-    starts.sort(key=lambda fit: _typical(corners, fit))
-    tried = [fit_lens(corners, start, TRIAL_STEPS) for start in starts[:TRIED]]
+    tried = _try(corners, model, likely)
+    if not tried or _typical(corners, tried[0]) > GOOD_START * np.hypot(*corners.picture_size):
+        tried += _try(corners, model, [share * long_side for share in FOCAL_SHARES])
     return _hold_down(
         corners, fit_lens(corners, min(tried, key=lambda fit: _typical(corners, fit)))
     )
+
+
+def _try(corners: Corners, model: LensModel, focals: Sequence[float]) -> list[LensFit]:
+    """Follow a few steps from those focal lengths that the corners fit best."""
+    starts = [start_lens(corners, model, focal) for focal in focals]
+    starts.sort(key=lambda fit: _typical(corners, fit))
+    return [fit_lens(corners, start, TRIAL_STEPS) for start in starts[:TRIED]]
 
 
 def _typical(corners: Corners, fit: LensFit) -> float:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.choose_lens import Choice, Tried, choose_again, choose_lens
+from calibration.choose_lens import Choice, Tried, choose_again, choose_lens, polished
 from calibration.corners import View
 from calibration.coverage import count_cells, facing, tilt_counts
 from calibration.lens_fit import Corners, gather, residuals
@@ -66,6 +66,7 @@ def choose_robustly(views: Sequence[View], family: str) -> Kept:
         still = np.array([number not in odd for number in range(corners.views)])
         corners = lighter.only(still)
         choice = choose_again(corners, choice, still)
+    choice = polished(corners, choice)
     return Kept(views=kept, corners=corners, choice=choice, cautions=_notes(kept, corners, choice))
 
 

@@ -23,14 +23,22 @@ _REQUIRED = {
     "cy": float,
     "distortion": list,
 }
-_OPTIONAL = {"covariance": list, "rms_px": float, "views": int, "images": list}
+_OPTIONAL = {
+    "covariance": list,
+    "rms_px": float,
+    "held_out_px": float,
+    "views": int,
+    "images": list,
+    "model_scores": list,
+    "gates": list,
+}
 
 
 def read_camera(path: Path) -> Camera:
     """Read a camera.toml.
 
     Args:
-        path: the file; its `covariance`, `rms_px`, `views` and `images` may be absent.
+        path: the file; its `covariance` and the notes on how it was got may be absent.
 
     Returns:
         The camera of the picture size the file names; `covariance` None where the file has none.
@@ -70,6 +78,9 @@ def write_camera(
     rms_px: float | None = None,
     views: int | None = None,
     images: Sequence[str] = (),
+    held_out_px: float | None = None,
+    model_scores: Sequence[str] = (),
+    gates: Sequence[str] = (),
 ) -> None:
     """Write a camera.toml, whole or not at all.
 
@@ -80,6 +91,9 @@ def write_camera(
             None where nobody knows, as of a camera that another program calibrated.
         views: how many photos were used, if known.
         images: their names.
+        held_out_px: error of views left out of the fit.
+        model_scores: the lenses compared, in words.
+        gates: what was asked of the calibration and answered, in words.
 
     Raises:
         ConfigError: when a number is not finite.
@@ -94,7 +108,14 @@ def write_camera(
     }
     if camera.covariance is not None:
         table["covariance"] = camera.covariance.tolist()
-    notes = {"rms_px": rms_px, "views": views, "images": list(images) or None}
+    notes = {
+        "rms_px": rms_px,
+        "held_out_px": held_out_px,
+        "views": views,
+        "images": list(images) or None,
+        "model_scores": list(model_scores) or None,
+        "gates": list(gates) or None,
+    }
     table |= {key: value for key, value in notes.items() if value is not None}
     write_text(path, to_toml("camera", table))
 
@@ -136,10 +157,14 @@ def _number(value: Any) -> float:
 
 def _check_notes(table: dict[str, Any]) -> None:
     """Check the keys that only people read, so that a spoilt file is noticed."""
-    if not 0 <= table.get("rms_px", 0.0) < float("inf"):
-        raise ConfigError(f"rms_px is {table['rms_px']}; a finite length in pixels is needed")
+    for key in ("rms_px", "held_out_px"):
+        if not 0 <= table.get(key, 0.0) < float("inf"):
+            raise ConfigError(f"{key} is {table[key]}; a finite length in pixels is needed")
     if table.get("views", 0) < 0 or not all(isinstance(n, str) for n in table.get("images", [])):
         raise ConfigError("views must be a count and images a list of names")
+    for key in ("model_scores", "gates"):
+        if not all(isinstance(text, str) for text in table.get(key, [])):
+            raise ConfigError(f"{key} must be a list of texts")
 
 
 def _covariance(table: dict[str, Any]) -> Tensor | None:

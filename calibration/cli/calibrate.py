@@ -3,7 +3,6 @@
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -51,6 +50,13 @@ def calibrate(
     out: Annotated[Path, typer.Option(metavar="FILE", help="Where the camera goes.")] = Path(
         "camera.toml"
     ),
+    model: Annotated[
+        Literal["auto", "pinhole", "rational", "fisheye"],
+        typer.Option(help="Lenses to compare; auto tries them all."),
+    ] = "auto",
+    bootstrap: Annotated[
+        int, typer.Option(metavar="N", help="Draw the views N times to check the uncertainty.")
+    ] = 0,
     report: Annotated[
         Path | None, typer.Option(metavar="F.html", help="Write a page that shows how good it is.")
     ] = None,
@@ -66,26 +72,27 @@ def calibrate(
     curve = _check_report(report, response, [out, *paths])
     from calibration.board import BoardRequest
     from calibration.corners import search_boards
-    from calibration.intrinsics import calibrate_views, check_request
+    from calibration.intrinsics import calibrate_views, check_request, write_calibration
 
-    check_request(paths, size, square)
+    check_request(paths, size, square, model, bootstrap)
     request = BoardRequest(
         kind=kind, size=size, square_m=square, marker_m=marker, dictionary=dictionary
     )
     with _progress(len(paths)) as on_photo:
         found = search_boards(paths, board=request, on_photo=on_photo)
     try:
-        result = calibrate_views(found.views, square=square)
+        result = calibrate_views(
+            found.views, square=square, model=model, bootstrap=bootstrap, cautions=found.cautions
+        )
     except ToolkitError as error:
         _report_failure(found, error, json)
         raise
-    result = replace(result, warnings=(*found.cautions, *result.warnings))
-    _write(out, result)
+    write_calibration(out, result)
     if report is not None:
         from calibration.report.collect import write_report
 
         write_report(report, result, square=square, response=curve)
-    typer.echo(_json_text(found, result, out, square) if json else _text(found, result, out))
+    typer.echo((_json_text if json else _text)(found, result, out, square))
 
 
 def _check_out(out: Path, photos: Sequence[Path]) -> None:
@@ -189,13 +196,6 @@ def _report_failure(found: "BoardSearch", error: ToolkitError, json: bool) -> No
         typer.echo(dumps(refusal | {"views": [_plain_view(view) for view in views]}))
 
 
-def _write(out: Path, result: "Calibration") -> None:
-    from toolkit.camera_file import write_camera
-
-    names = [view.path.name for view in result.used]
-    write_camera(out, result.camera, rms_px=result.rms_px, views=len(names), images=names)
-
-
 def _line(view: "View") -> str:
     """Describe a view in one line."""
     name, reason = _printable(str(view.path)), _printable(view.reason)
@@ -209,7 +209,9 @@ def _printable(text: str) -> str:
     return "".join(c if c.isprintable() else "?" for c in text)
 
 
-def _text(found: "BoardSearch", result: "Calibration", out: Path) -> str:
+def _text(found: "BoardSearch", result: "Calibration", out: Path, square: float | None) -> str:
+    from calibration.plain_trust import trust_lines
+
     camera = result.camera
     std = _std(result)
     numbers = ", ".join(
@@ -223,6 +225,7 @@ def _text(found: "BoardSearch", result: "Calibration", out: Path) -> str:
             f"{_board_text(found)}, {len(result.used)} of {len(result.views)}"
             f" photos used, RMS {result.rms_px:.2f} px",
             f"{numbers} px; {len(camera.distortion)} distortion coefficients",
+            *trust_lines(result, square),
             f"wrote {_printable(str(out))}",
         ]
     )
@@ -244,6 +247,7 @@ def _std(result: "Calibration") -> dict[str, float]:
 def _json_text(found: "BoardSearch", result: "Calibration", out: Path, square: float | None) -> str:
     from json import dumps
 
+    from calibration.plain_trust import plain_trust
     from toolkit.plain_data import to_plain
 
     camera = result.camera
@@ -261,6 +265,7 @@ def _json_text(found: "BoardSearch", result: "Calibration", out: Path, square: f
         "camera": {name: getattr(camera, name) for name in names}
         | {"covariance": camera.covariance.tolist()},
         "std": _std(result),
+        **plain_trust(result),
         "pose_unit": "square" if square is None else "metre",
         "views": [_plain_view(view) for view in result.views],
         "warnings": result.warnings,

@@ -28,7 +28,7 @@ def corners_of(make_views, tilted_poses):
 
 
 def fitted(corners, model=PINHOLE_4):
-    return fit_lens(corners, first_fit(corners, model))
+    return fit_lens(corners, first_fit(corners, model), settled=1e-12)
 
 
 def covariance_of(corners, fit):
@@ -66,7 +66,7 @@ def test_the_fit_and_its_covariance_are_opencvs(corners_of, model):
         criteria=stop,
     )
     ours = total_rms(corners, residuals(corners, fit))
-    assert ours <= rms * (1 + 1e-5)
+    assert ours <= rms * (1 + 1e-4)
     if model is RATIONAL:  # its terms trade with each other: only what they show is comparable
         assert ours == pytest.approx(rms, rel=2e-3)
         return
