@@ -43,6 +43,15 @@ class ColoursTogether:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class LightTogether:
+    """The pictures whose light of the ball may be averaged."""
+
+    alike: tuple[int, ...]  # by their place, the one nearest to all others first
+    std: float  # of their mean beyond noise, as a share of the ball's brightness, by their spread
+    others: dict[int, float]  # by how much of that each other picture differs, rms
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Seen:
     """One picture's pixels and what they say alone."""
 
@@ -77,11 +86,11 @@ def learn_colours_together(views: Sequence[BallView]) -> ColoursTogether:
     )
 
 
-def same_light(views: Sequence[BallView]) -> tuple[tuple[int, ...], dict[int, float]]:
-    """Tell which pictures show the ball equally lit and turned, the one nearest to all first.
+def same_light(views: Sequence[BallView]) -> LightTogether:
+    """Tell which pictures show the ball equally lit and turned.
 
-    Returns:
-        Their places, and by how much of the ball's brightness each of the others differs, rms.
+    Raises:
+        CalibrationError: when two pictures show no place of the ball alike.
     """
     shades = [_shade(view) for view in views]
     apart = torch.tensor([[_difference(one, other) for other in shades] for one in shades])
@@ -89,7 +98,13 @@ def same_light(views: Sequence[BallView]) -> tuple[tuple[int, ...], dict[int, fl
     best = int((near.sum(1) - apart.mean(1).clamp_max(0.5)).argmax())
     group = near[best].nonzero()[:, 0].tolist()
     chosen = (best, *(i for i in group if i != best))
-    return chosen, {i: float(apart[best, i]) for i in range(len(views)) if i not in chosen}
+    # two pictures differ by twice the variance of one
+    variance = apart[group][:, group].square().sum() / 2 / max(1, len(group) * (len(group) - 1))
+    return LightTogether(
+        alike=chosen,
+        std=math.sqrt(float(variance) / len(group)),
+        others={i: float(apart[best, i]) for i in range(len(views)) if i not in chosen},
+    )
 
 
 def _see(view: BallView) -> _Seen:

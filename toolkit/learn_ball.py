@@ -7,7 +7,12 @@ from functools import cache, partial
 from pathlib import Path
 
 from toolkit.ball import Disc
-from toolkit.ball_agreement import ColoursTogether, learn_colours_together, same_light
+from toolkit.ball_agreement import (
+    ColoursTogether,
+    LightTogether,
+    learn_colours_together,
+    same_light,
+)
 from toolkit.ball_file import BallFile, SharpSource
 from toolkit.ball_size import (
     CONTRADICTION,
@@ -60,6 +65,7 @@ class LearntBall:
     file: BallFile
     pictures: tuple[Picture, ...]
     together: ColoursTogether
+    light: LightTogether  # by the place among the pictures whose colours agree
     radius: RadiusFound | None  # where camera and distances are known
     distance_std: float  # metre, of those distances
     left_out: tuple[LeftOut, ...]
@@ -131,8 +137,8 @@ def learn_ball(
         for i, reason in together.contradicting.items()
     ]
     agreeing = [one for i, one in enumerate(pictures) if i not in together.contradicting]
-    alike, others = _alike(agreeing)
-    sources = [_source(one, response) for one in alike]
+    light = same_light([one.view for one in agreeing])
+    sources = [_source(agreeing[i], response) for i in light.alike]
     radius_m, radius_std = _settled_radius(told, radius)
     return LearntBall(
         file=BallFile(
@@ -148,9 +154,10 @@ def learn_ball(
         ),
         pictures=tuple(pictures),
         together=together,
+        light=light,
         radius=radius,
         distance_std=distance_std,
-        left_out=(*left_out, *others),
+        left_out=(*left_out, *_other_light(agreeing, light)),
         cautions=(*_doubts(told, radius), *_lens_doubts(lens), *_response_doubts(pictures)),
     )
 
@@ -274,22 +281,17 @@ def _settled_radius(told: Told, found: RadiusFound | None) -> tuple[float | None
     return (None, None) if found is None else (found.radius, found.std)
 
 
-def _alike(pictures: Sequence[Picture]) -> tuple[list[Picture], list[LeftOut]]:
-    """Give the pictures whose light may be averaged, the best first, and the others."""
-    if len(pictures) == 1:
-        return list(pictures), []
-    group, others = same_light([one.view for one in pictures])
-    best = pictures[group[0]]
-    left_out = [
+def _other_light(pictures: Sequence[Picture], light: LightTogether) -> list[LeftOut]:
+    best = pictures[light.alike[0]]
+    return [
         LeftOut(
             path=pictures[i].path,
             of="shading",
             reason=f"differs from {best.path} by {share:.0%} of the ball's brightness: lit or "
             "turned otherwise",
         )
-        for i, share in others.items()
+        for i, share in light.others.items()
     ]
-    return [pictures[i] for i in group], left_out
 
 
 def _source(picture: Picture, response: str | Path | None) -> SharpSource:

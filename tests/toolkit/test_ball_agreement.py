@@ -138,19 +138,27 @@ def test_pixels_off_what_is_spanned_are_counted():
 
 def test_pictures_in_the_same_light_are_found(look_at):
     views = [look_at(other_lamp), look_at(matt), look_at(matt, 1), look_at(matt, 0, 0.9)]
-    group, others = same_light(views)
-    assert sorted(group) == [1, 2]
-    assert set(others) == {0, 3}
-    assert others[3] == pytest.approx(0.1, abs=0.02)
-    assert others[0] > 0.1
+    light = same_light(views)
+    assert sorted(light.alike) == [1, 2]
+    assert set(light.others) == {0, 3}
+    assert light.others[3] == pytest.approx(0.1, abs=0.02)
+    assert light.others[0] > 0.1
 
 
 def test_a_turned_pattern_is_another_shade(look_at):
-    group, others = same_light([look_at(striped), look_at(turned), look_at(striped)])
-    assert sorted(group) == [0, 2]
-    assert list(others) == [1]
+    light = same_light([look_at(striped), look_at(turned), look_at(striped)])
+    assert sorted(light.alike) == [0, 2]
+    assert list(light.others) == [1]
 
 
 def test_noise_alone_makes_no_difference(look_at):
-    group, others = same_light([look_at(matt, seed) for seed in range(3)])
-    assert (sorted(group), others) == ([0, 1, 2], {})
+    light = same_light([look_at(matt, seed) for seed in range(3)])
+    assert (sorted(light.alike), light.others) == ([0, 1, 2], {})
+    assert light.std < 0.003
+
+
+def test_the_doubt_of_a_mean_shade_is_that_of_its_spread(look_at):
+    light = same_light([look_at(matt, seed, 0.99 + 0.01 * seed) for seed in range(3)])
+    assert len(light.alike) == 3
+    assert light.std == pytest.approx(0.01 / math.sqrt(3), rel=0.15)
+    assert same_light([look_at(matt)]).std == 0

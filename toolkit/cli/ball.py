@@ -199,10 +199,20 @@ def _lines(learnt: "LearntBall") -> list[str]:
         else f"left out   {one.path}: {one.reason.removeprefix(f'{one.path}: ')}"
         for one in learnt.left_out
     ]
-    shading = [] if is_alone else [f"shading    mean of {1 + len(learnt.file.also)} pictures"]
+    shading = [] if is_alone else [_shading_line(learnt)]
     cautions = [f"caution    {caution}" for caution in learnt.cautions]
     colours = _colour_lines(learnt.together.colours, learnt.together.std)
     return [*found, *_radius_lines(learnt), *colours, *shading, *left_out, *cautions]
+
+
+def _shading_line(learnt: "LearntBall") -> str:
+    count = len(learnt.light.alike)
+    if count == 1:
+        return f"shading    by {learnt.reference.path} alone"
+    return (
+        f"shading    mean of {count} pictures, +/- {learnt.light.std:.2%} of its brightness by "
+        "how they differ beyond noise"
+    )
 
 
 def _disc_lines(disc: "Disc", clipped: float) -> list[str]:
@@ -297,7 +307,13 @@ def _plain(learnt: "LearntBall", out: Path) -> dict[str, Any]:
         "plane_normal": file.plane_normal,
         "plane_normal_std": file.plane_normal_std,
         "off": colours.off,
-        "pictures": [_plain_picture(learnt, one) for one in learnt.pictures],
+        "pictures": [_plain_picture(one) for one in learnt.pictures],
+        "shading": {
+            "pictures": [
+                str(source.image) for source in (*((file.sharp,) if file.sharp else ()), *file.also)
+            ],
+            "std_share": learnt.light.std if file.also else None,
+        },
         "left_out": [
             {"path": str(one.path), "of": one.of, "reason": one.reason} for one in learnt.left_out
         ],
@@ -305,9 +321,8 @@ def _plain(learnt: "LearntBall", out: Path) -> dict[str, Any]:
     }
 
 
-def _plain_picture(learnt: "LearntBall", picture: "Picture") -> dict[str, Any]:
-    disc, size, sharp = picture.disc, picture.size, learnt.file.sharp
-    shading = {source.image for source in (*([sharp] if sharp else []), *learnt.file.also)}
+def _plain_picture(picture: "Picture") -> dict[str, Any]:
+    disc, size = picture.disc, picture.size
     return {
         "path": str(picture.path),
         "background": [str(path) for path in picture.background],
@@ -319,7 +334,6 @@ def _plain_picture(learnt: "LearntBall", picture: "Picture") -> dict[str, Any]:
         "distance_m": picture.distance,
         "radius_over_distance": None if size is None else size.ratio,
         "radius_over_distance_std": None if size is None else size.ratio * size.std,
-        "is_in_shading": picture.path in shading,
     }
 
 

@@ -201,7 +201,9 @@ def test_json_is_one_object(three, capsys):
     assert main([*three, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert (told["status"], told["kind"], len(told["pictures"])) == ("ok", "line", 3)
-    assert [one["is_in_shading"] for one in told["pictures"]].count(True) == 2
+    names = {Path(path).name for path in told["shading"]["pictures"]}
+    assert names == {"s0.png", "s1.png"}
+    assert 0 <= told["shading"]["std_share"] < 0.01
     (left_out,) = told["left_out"]
     assert (Path(left_out["path"]).name, left_out["of"]) == ("s2.png", "colours")
     assert told["radius_m"] is None
