@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from toolkit.background import PairSamples, check_pair, sample_pair
+from toolkit.background import PairSamples, sample_pair
 from toolkit.errors import CalibrationError, ConfigError, MismatchError
 from toolkit.measurement import Caution
 from toolkit.types import LinearImage, NoiseModel
@@ -120,10 +120,9 @@ def _pairs(
         )
         other = read_image(second, response=response)
         last = second, other
-        check_pair(one, other)
-        if one.pattern != other.pattern:
+        if (one.clipped.shape, one.pattern) != (other.clipped.shape, other.pattern):
             raise MismatchError(
-                f"{first} and {second} are of different kinds; use one kind of file"
+                f"{first} and {second} differ in size or kind; use photos of one camera setting"
             )
         samples.append(sample_pair(one, other))
         names.append(f"{first.name} and {second.name}")
