@@ -167,7 +167,8 @@ def wizard(
     if json:
         typer.echo(_json_text(desk, outcomes))
     else:
-        typer.echo(f"next: toolkit measure SHOT, for a shot in {_printable(str(desk.folder))}")
+        where = "this folder" if folder == Path() else _printable(str(folder))
+        typer.echo(f"next: toolkit measure SHOT, for a shot in {where}")
 
 
 def _word(text: str | None) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ HOW_TO = (
     "Take 10 to 20 photos of the board with the camera of the shots: same zoom, same focus, same",
     "kind of file (RAW where you can). Tilt it by 20 to 45 degrees, left, right, up and down, and",
     "bring it into every corner of the picture. Hold it still: a blurred photo is left out.",
+    "To take them first, stop here with Ctrl-C: `toolkit wizard` goes on where you left.",
 )
 
 PHOTOS = Question(

@@ -112,20 +112,31 @@ class Asker:
 
     def _keep(self, question: Question[Any], words: Words) -> None:
         if question.is_path:
-            words = tuple(_moved(word, Path(), self.folder) for word in words)
+            words = tuple(_for_file(word, self.folder) for word in words)
         self.answers[question.name] = words
 
     def _kept(self, question: Question[Any]) -> Words:
         words = self.answers[question.name]
         if question.is_path:
-            words = tuple(_moved(word, self.folder, Path()) for word in words)
+            words = tuple(_from_file(word, self.folder) for word in words)
         return words
 
 
-def _moved(word: str, here: Path, there: Path) -> str:
-    """Write the name of a file, or a pattern, seen from `here` as it is seen from `there`."""
-    place = here / Path(word).expanduser()
-    return seen_from(there, place) if has_magic(word) or place.exists() else word
+def _for_file(word: str, folder: Path) -> str:
+    """Write the name of a file, or a pattern, as seen from a folder; other words stay.
+
+    A name always holds a slash then, which tells it from a word such as srgb.
+    """
+    place = Path(word).expanduser()
+    if not (has_magic(word) or place.exists()):
+        return word
+    seen = seen_from(folder, place)
+    return seen if "/" in seen else f"./{seen}"
+
+
+def _from_file(word: str, folder: Path) -> str:
+    """Write what `_for_file` gave so that it is found from here."""
+    return seen_from(Path(), folder / word) if "/" in word else word
 
 
 def _converse(person: Person, question: Question[T], default: Words | None) -> tuple[T, Words]:

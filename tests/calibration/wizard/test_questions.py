@@ -101,6 +101,20 @@ def test_names_of_files_are_kept_as_seen_from_the_folder(tmp_path, monkeypatch):
     assert again.ask(PICTURES) == (Path("../chess/a.jpg"),)
 
 
+def test_a_file_that_has_gone_is_not_sought_elsewhere(tmp_path, monkeypatch):
+    """One of the same name lies where the next run happens to start."""
+    (tmp_path / "rig").mkdir()
+    (tmp_path / "rig" / "a.jpg").touch()
+    monkeypatch.chdir(tmp_path / "rig")
+    first = asker("a.jpg")
+    first.ask(PICTURES)
+    assert first.answers == {"images": ("./a.jpg",)}
+    (tmp_path / "rig" / "a.jpg").rename(tmp_path / "a.jpg")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigError, match=r"rig/a.jpg does not exist"):
+        asker(answers=first.answers, alone=True, folder=Path("rig")).ask(PICTURES)
+
+
 def test_a_file_that_has_gone_is_asked_for_again(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("b.jpg").touch()
