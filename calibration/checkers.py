@@ -1,7 +1,7 @@
 """Find the inner corners of a checkerboard in one picture."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import cv2
@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 Pixels = NDArray[np.float64]
 Grey = NDArray[np.float32] | NDArray[np.uint8]
+Detector = tuple[Any, int]
+"""One of OpenCV's, and its flags."""
 
 GLANCE_SIDES = (320, 800)
 """Long side, px, to which a photo is reduced to see what board is on it.
@@ -30,6 +32,12 @@ WINDOW_LIMITS = (2, 60)
 
 A soft picture of 25 megapixels (6 of the views above, enlarged 9 times) needs a wide one: RMS over
 the enlargement 0.29 px at 25, 0.21 px at 50, 0.19 px at 100.
+"""
+QUICK_SIDE, QUICK = 400, (cv2.findChessboardCorners, 0)
+"""Long side, px, and detector that are tried first.
+
+With one threshold for all of the picture it finds 28 of 32 real boards, misses the others in 4 ms,
+and saves half the time of searching adaptively at once.
 """
 CLASSIC = (cv2.findChessboardCorners, cv2.CALIB_CB_ADAPTIVE_THRESH + cv2.CALIB_CB_NORMALIZE_IMAGE)
 THOROUGH = (
@@ -98,8 +106,18 @@ def find_corners(
         unknown one. The square between the first four corners is dark where that can be told
         (C + R odd); else the first corner is the one nearest to the picture's.
     """
-    found = _find(as_bytes(grey), board, is_thorough) if board else find_any(grey)
-    return [refine_corners(grey, _oriented(corners, grey)) for corners in found]
+    if board is None:
+        return [refine_corners(grey, _oriented(corners, grey)) for corners in find_any(grey)]
+    best: list[tuple[int, Pixels]] = []
+    for corners in _attempts(as_bytes(grey), board, is_thorough):
+        start = _oriented(corners, grey)
+        moved = refine_corners(grey, start)
+        # a corner that would have to leave its window is given back where it was put
+        stuck = int((np.abs(moved - start) < 1e-4).all(axis=-1).sum())
+        best.append((stuck, moved))
+        if stuck == 0:
+            break
+    return [min(best, key=lambda attempt: attempt[0])[1]] if best else []
 
 
 def refine_corners(grey: Grey, corners: Pixels) -> Pixels:
@@ -154,11 +172,9 @@ def are_crossings(picture: NDArray[np.uint8], corners: Pixels, radius: float) ->
 def shows(grey: Grey, board: tuple[int, int]) -> bool:
     """Tell whether a photo plainly shows a checkerboard of this size, and none that goes on."""
     whole = as_bytes(grey)
-    small = reduced(whole, GLANCE_SIDES[0])
-    found = _search(small, board, [CLASSIC])
-    if found is None:
+    corners = next(_search(whole, QUICK_SIDE, board, [QUICK]), None)
+    if corners is None:
         return False
-    corners = _enlarged(found, small, whole)
     return not _goes_on(whole, corners) and not holds_markers(whole, corners)
 
 
@@ -189,7 +205,9 @@ def reduced(picture: NDArray[np.uint8], side: int) -> NDArray[np.uint8]:
     scale = side / max(picture.shape)
     if scale >= 1:
         return picture
-    shrunk = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    # means over a pixel and a half are slow, and there is little to lose between them
+    how = cv2.INTER_LINEAR if scale > 0.5 else cv2.INTER_AREA
+    shrunk = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=how)
     return np.asarray(shrunk, dtype=np.uint8)
 
 
@@ -200,26 +218,31 @@ def as_bytes(grey: Grey) -> NDArray[np.uint8]:
     return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
 
 
-def _find(whole: NDArray[np.uint8], board: tuple[int, int], is_thorough: bool) -> list[Pixels]:
-    """Find a known board [R, C, 2] px, quick detector and small picture first."""
-    for side in SEARCH_SIDES:
-        small = reduced(whole, side)
-        found = _search(small, board, [CLASSIC, *(THOROUGH if is_thorough else ())])
-        if found is not None:
-            return [_enlarged(found, small, whole)]
-        if small is whole or not is_thorough:
-            break
-    return []
+def _attempts(
+    whole: NDArray[np.uint8], board: tuple[int, int], is_thorough: bool
+) -> Iterator[Pixels]:
+    """Places of a known board [R, C, 2] px by one detector after the other, the quickest first."""
+    yield from _search(whole, QUICK_SIDE, board, [QUICK])
+    detectors = [CLASSIC, *(THOROUGH if is_thorough else ())]
+    for side in SEARCH_SIDES[: None if is_thorough else 1]:
+        found = False
+        for corners in _search(whole, side, board, detectors):
+            found = True
+            yield corners
+        if found or side >= max(whole.shape):
+            return
 
 
 def _search(
-    picture: NDArray[np.uint8], board: tuple[int, int], attempts: Sequence[tuple[Any, int]]
-) -> Pixels | None:
-    for search, flags in attempts:
-        is_found, corners = search(picture, board, flags=flags)
+    whole: NDArray[np.uint8], side: int, board: tuple[int, int], detectors: Sequence[Detector]
+) -> Iterator[Pixels]:
+    """Places in the whole picture of a board that detectors find in one reduced to `side`."""
+    small = reduced(whole, side)
+    for search, flags in detectors:
+        is_found, corners = search(small, board, flags=flags)
         if is_found:
-            return np.asarray(corners, dtype=np.float64).reshape(*board[::-1], 2)
-    return None
+            grid = np.asarray(corners, dtype=np.float64).reshape(*board[::-1], 2)
+            yield _enlarged(grid, small, whole)
 
 
 def _read_any(picture: NDArray[np.uint8], flags: int) -> Pixels | None:

@@ -111,3 +111,14 @@ def test_misread_real_views_are_sought_again(opencv_left, count):
     views = find_boards(paths if count == 3 else opencv_left)
     assert [view.reason for view in views] == [""] * count
     assert {view.board for view in views} == {(9, 6)}
+
+
+@pytest.mark.shared_data
+@pytest.mark.parametrize("name", ["GOPR0034", "GOPR0068"])
+def test_no_corner_stays_where_a_detector_misplaced_it(gopro_wide, name):
+    """One quick detector or another puts a corner of each beside its place, out of its window."""
+    (view,) = find_boards([path for path in gopro_wide if path.stem == name], board=(8, 6))
+    grid = view.grid
+    for lines in (grid, grid.swapaxes(0, 1)):
+        bends = np.linalg.norm(np.diff(lines, 2, axis=0), axis=-1)
+        assert (bends < 0.25 * np.linalg.norm(lines[1:-1] - lines[:-2], axis=-1)).all()
