@@ -34,7 +34,7 @@ def bootstrap_covariance(corners: Corners, fit: LensFit, count: int, seed: int =
         drawn = np.bincount(generator.integers(views, size=views), minlength=views)
         if (drawn > 0).sum() < min(FEWEST_DIFFERENT, views):
             continue
-        weighted = replace(corners, weight=corners.weight * np.sqrt(drawn)[:, None])
+        weighted = corners.weighing(corners.weight * np.sqrt(drawn)[:, None])
         lenses.append(fit_lens(weighted.only(drawn > 0), _of(fit, drawn > 0), STEPS).lens)
     spread = np.cov(np.array(lenses), rowvar=False)
     return np.asarray(spread * views / (views - 1))

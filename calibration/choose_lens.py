@@ -26,7 +26,9 @@ WIDEST_GAIN = 1.5
 
 
 EXACT = 1e-12
-"""Relative fall of the squares at which the lens that was taken has settled."""
+"""Promised relative fall of the squares at which the lens that was taken has settled."""
+WARM_STEPS = 8
+"""Steps from a neighbouring lens; terms that trade with each other would take many more."""
 HOPELESS = 1.6
 """A lens is not tried with a bent board when its RMS exceeds the best one's by this factor."""
 INVERTIBLE = 0.98
@@ -92,7 +94,9 @@ def choose_again(corners: Corners, before: Choice, still: NDArray[np.bool_]) -> 
 
 def polished(corners: Corners, choice: Choice) -> Choice:
     """Settle the lens that was taken to the last digits."""
-    better = _tried(corners, fit_lens(corners, choice.taken.fit, settled=EXACT))
+    fit = fit_lens(corners, choice.taken.fit, settled=EXACT)
+    rms = total_rms(corners, residuals(corners, fit))
+    better = replace(choice.taken, fit=fit, rms_px=rms)
     tried = tuple(better if one is choice.taken else one for one in choice.tried)
     return Choice(taken=better, tried=tried)
 
@@ -101,7 +105,7 @@ def _choose(flat: Sequence[LensFit], corners: Corners) -> Choice:
     tried = [_tried(corners, fit) for fit in flat]
     limit = HOPELESS * min(one.rms_px for one in tried)
     promising = [one.fit for one in tried if one.rms_px <= limit]
-    bent = [fit_lens(corners, replace(fit, is_bent=True)) for fit in promising]
+    bent = [fit_lens(corners, replace(fit, is_bent=True), WARM_STEPS) for fit in promising]
     tried += [_tried(corners, fit) for fit in bent]
     tried = [one for one in tried if np.isfinite(one.held_out.rms_px)]
     if len(tried) < 2:
@@ -109,9 +113,9 @@ def _choose(flat: Sequence[LensFit], corners: Corners) -> Choice:
             "the views do not determine a lens; tilt the board more, in several directions"
         )
     taken = _take(tried)
-    sound = [one for one in tried if _is_invertible(one.fit, corners)]
-    if sound and taken not in sound:
-        instead = _take(sound)
+    if not _is_invertible(taken.fit, corners):
+        sound = [one for one in tried if _is_invertible(one.fit, corners)]
+        instead = _take(sound) if sound else taken
         taken = taken if is_better(taken.held_out, instead.held_out) else instead
     return Choice(taken=taken, tried=tuple(tried))
 
@@ -191,6 +195,6 @@ def _try_flat(corners: Corners, family: str) -> list[LensFit]:
         before = before or first_fit(corners, K1_K2)
         lens = np.zeros(4 + model.size)
         lens[: len(before.lens)] = before.lens
-        before = fit_lens(corners, replace(before, model=model, lens=lens))
+        before = fit_lens(corners, replace(before, model=model, lens=lens), WARM_STEPS)
         fits.append(before)
     return fits

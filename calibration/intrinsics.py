@@ -240,15 +240,18 @@ def _count_different(views: Sequence[View]) -> int:
         if corners is None or view.picture_size is None:
             continue
         limit = SAME_VIEW_SHARE * math.hypot(*view.picture_size)
-        if all(_distance(corners, other) > limit for other in different):
+        if all(_distance(corners, other, limit) > limit for other in different):
             different.append(corners)
     return len(different)
 
 
-def _distance(corners: Array, other: Array) -> float:
-    """Mean distance of two views' corners, px, whichever end of the board comes first."""
+def _distance(corners: Array, other: Array, limit: float) -> float:
+    """Mean distance of two views' corners, px, whichever end comes first; exact below `limit`."""
     if len(corners) != len(other):
         return math.inf  # partial views of different parts
+    apart = float(np.hypot(*(corners.mean(axis=0) - other.mean(axis=0))))
+    if apart > limit:
+        return apart  # a lower bound, and quicker
     turned = (np.linalg.norm(corners - o, axis=-1).mean() for o in (other, other[::-1]))
     return float(min(turned))
 

@@ -17,9 +17,10 @@ Array = NDArray[np.float64]
 
 STEPS = 40
 """Steps at most; 5 to 10 do from a neighbouring lens."""
-SETTLED = 1e-6
-"""Relative fall of the squares below which a fit has settled: of 1,000 corners, a thirtieth of a
-standard deviation."""
+SETTLED = 1e-5
+"""Promised relative fall of the squares below which the next step is the last."""
+DAMPING = 1e-5
+"""Marquardt's factor on the diagonal at the start."""
 BENDS = 3
 """Numbers of a bent board: z = a u^2 + b u v + c v^2, u v from its middle in half long sides."""
 
@@ -31,6 +32,8 @@ class Corners:
     points: Array  # [V, N, 3] squares, z = 0
     middle: Array  # [2] of the board, squares
     half_side: float  # half its long side, squares
+    bends: Array  # [V, N, BENDS] height that each number of the bend gives to a point
+    is_whole: bool  # whether all weigh 1
     seen: Array  # [V, N, 2] px
     weight: Array  # [V, N], 0 or 1
     picture_size: tuple[int, int]
@@ -39,12 +42,6 @@ class Corners:
     def views(self) -> int:
         """How many views there are."""
         return len(self.seen)
-
-    @property
-    def bends(self) -> Array:
-        """Height that each number of the bend gives to a point, [V, N, BENDS]."""
-        u, v = self.board_axes(self.points)
-        return np.stack([u * u, u * v, v * v], axis=-1)
 
     def board_axes(self, points: Array) -> tuple[Array, Array]:
         """Give places on the board from its middle, in half long sides, u and v [...]."""
@@ -56,9 +53,14 @@ class Corners:
         return replace(
             self,
             points=self.points[kept],
+            bends=self.bends[kept],
             seen=self.seen[kept],
             weight=self.weight[kept],
         )
+
+    def weighing(self, weight: Array) -> "Corners":
+        """Give the same corners with other weights [V, N]."""
+        return replace(self, weight=weight, is_whole=bool((weight == 1).all()))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -80,11 +82,31 @@ class LensFit:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Linear:
-    """Residuals and their derivatives at a fit; C = 2 N coordinates, weighted."""
+    """Residuals and their derivatives at a fit, weighted, side by side; C = 2 N coordinates."""
 
-    residual: Array  # [V, C] px
-    J_shared: Array  # [V, C, S]
-    J_pose: Array  # [V, C, 6]: turn in the camera frame, shift
+    table: Array  # [V, C, S + 6 + 1]: in lens and bend, in the pose, and the residuals
+    shared: int  # S
+
+    @property
+    def J_shared(self) -> Array:
+        """Derivatives in [fitted lens, bend], [V, C, S]."""
+        return self.table[..., : self.shared]
+
+    @property
+    def J_pose(self) -> Array:
+        """Derivatives in the turn in the camera frame and the shift, [V, C, 6]."""
+        return self.table[..., self.shared : -1]
+
+    @property
+    def residual(self) -> Array:
+        """Predicted less seen, px [V, C]."""
+        return self.table[..., -1]
+
+    @property
+    def squares(self) -> float:
+        """Sum of the squared residuals, px^2; infinite where a point is seen nowhere."""
+        total = float((self.residual**2).sum())
+        return total if np.isfinite(total) else np.inf
 
 
 def board_points(board: tuple[int, int]) -> Array:
@@ -111,10 +133,14 @@ def gather(
         table[view, count:], pixels[view, count:] = places[0], corners[0]
     every = np.concatenate(list(points))[:, :2]
     low, high = every.min(axis=0), every.max(axis=0)
+    middle, half_side = (low + high) / 2, 0.5 * float((high - low).max())
+    u, v = np.moveaxis((table[..., :2] - middle) / half_side, -1, 0)
     return Corners(
         points=table,
-        middle=(low + high) / 2,
-        half_side=0.5 * float((high - low).max()),
+        middle=middle,
+        half_side=half_side,
+        bends=np.stack([u * u, u * v, v * v], axis=-1),
+        is_whole=bool(weight.all()),
         seen=pixels,
         weight=weight,
         picture_size=picture_size,
@@ -139,59 +165,52 @@ def _numbers(fit: LensFit) -> Array:
 def _placed(corners: Corners, fit: LensFit) -> tuple[Array, Array]:
     """Points turned into the camera's axes, and moved into its frame, [V, N, 3]."""
     points = corners.points
-    if fit.bend.any():
-        height = np.einsum(
-            "vnb,...b->vn" if fit.bend.ndim == 1 else "vnb,vb->vn", corners.bends, fit.bend
-        )
-        points = np.concatenate([points[..., :2], height[..., None]], axis=-1)
+    if fit.is_bent:
+        points = points.copy()
+        points[..., 2] = (corners.bends @ fit.bend[..., None])[..., 0]
     turned = points @ fit.rotation.swapaxes(-1, -2)
     return turned, turned + fit.translation[:, None]
 
 
 def _normalised(placed: Array) -> tuple[Array, Array, Array]:
-    """x/z, y/z and z [V, N]; what lies behind the camera is sent far off."""
-    depth = np.where(placed[..., 2] > 1e-6, placed[..., 2], 1e-6)
-    return placed[..., 0] / depth, placed[..., 1] / depth, depth
+    """x/z, y/z and 1/z [V, N]; what lies behind the camera is sent far off."""
+    inverse = 1 / np.maximum(placed[..., 2], 1e-6)
+    return placed[..., 0] * inverse, placed[..., 1] * inverse, inverse
 
 
 def linearise(corners: Corners, fit: LensFit, *, with_shared: bool = True) -> Linear:
     """Give residuals and derivatives in [fitted lens, bend] and in the poses."""
     fx, fy, cx, cy, *_ = numbers = _numbers(fit)
     turned, placed = _placed(corners, fit)
-    x, y, depth = _normalised(placed)
-    shown_x, shown_y = fit.model.shown(x, y, numbers[4:])
+    x, y, inverse = _normalised(placed)
+    shown = fit.model.shown(x, y, numbers[4:])
     a, b, d = fit.model.J_shown(x, y, numbers[4:])
-    zero = np.zeros_like(x)
-    # rows: derivative of the pixel's x, y in the point's place
-    J = np.empty((*x.shape, 2, 3))
+    count = fit.shared if with_shared else 0
+    table = np.zeros((*x.shape, 2, count + 7))
+    # derivative of the pixel's x, y in the point's place is that in the shift
+    place = table[..., count + 3 : count + 6]
     for row, (f, in_x, in_y) in enumerate(((fx, a, b), (fy, b, d))):
-        J[..., row, 0], J[..., row, 1] = f * in_x / depth, f * in_y / depth
-        J[..., row, 2] = -(J[..., row, 0] * x + J[..., row, 1] * y)
-    pose = np.empty((*x.shape, 2, 6))
+        scale = f * inverse
+        place[..., row, 0], place[..., row, 1] = scale * in_x, scale * in_y
+        place[..., row, 2] = -(place[..., row, 0] * x + place[..., row, 1] * y)
     X, Y, Z = (turned[..., None, i] for i in range(3))
-    pose[..., 0] = Y * J[..., 2] - Z * J[..., 1]
-    pose[..., 1] = Z * J[..., 0] - X * J[..., 2]
-    pose[..., 2] = X * J[..., 1] - Y * J[..., 0]
-    pose[..., 3:] = J
-    weight = corners.weight[..., None]
-    seen = np.stack([fx * shown_x + cx, fy * shown_y + cy], axis=-1)
-    residual = (seen - corners.seen) * weight
-    views, count = x.shape
-    shared = np.zeros((views, count, 2, 0))
+    table[..., count] = Y * place[..., 2] - Z * place[..., 1]
+    table[..., count + 1] = Z * place[..., 0] - X * place[..., 2]
+    table[..., count + 2] = X * place[..., 1] - Y * place[..., 0]
+    table[..., 0, -1] = fx * shown[0] + cx
+    table[..., 1, -1] = fy * shown[1] + cy
+    table[..., -1] -= corners.seen
     if with_shared:
-        changes = fit.model.J_fitted(x, y, numbers[4:])
-        columns = [(shown_x, zero), (zero, shown_y), (zero + 1, zero), (zero, zero + 1)]
-        columns += [(fx * change_x, fy * change_y) for change_x, change_y in changes]
-        shared = np.stack([np.stack(column, axis=-1) for column in columns], axis=-1)
+        table[..., 0, 0], table[..., 1, 1] = shown
+        table[..., 0, 2] = table[..., 1, 3] = 1
+        for index, change in enumerate(fit.model.J_fitted(x, y, numbers[4:]), start=4):
+            table[..., 0, index], table[..., 1, index] = fx * change[0], fy * change[1]
     if with_shared and fit.is_bent:
-        outward = np.einsum("vnij,vj->vni", J, fit.rotation[..., 2])
-        bends = outward[..., None] * corners.bends[..., None, :]
-        shared = np.concatenate([shared, bends], axis=-1)
-    return Linear(
-        residual=residual.reshape(views, -1),
-        J_shared=(shared * weight[..., None]).reshape(views, 2 * count, -1),
-        J_pose=(pose * weight[..., None]).reshape(views, 2 * count, 6),
-    )
+        outward = (place.reshape(len(x), -1, 3) @ fit.rotation[..., 2:]).reshape(*x.shape, 2, 1)
+        table[..., count - BENDS : count] = outward * corners.bends[..., None, :]
+    if not corners.is_whole:
+        table *= corners.weight[..., None, None]
+    return Linear(table=table.reshape(len(x), -1, count + 7), shared=count)
 
 
 def fit_lens(
@@ -203,72 +222,59 @@ def fit_lens(
         corners: the views.
         start: where to begin.
         steps: at most.
-        settled: relative fall of the squares at which to stop.
-
-    Raises:
-        CalibrationError: when the views do not determine a lens.
+        settled: promised relative fall of the squares below which the next step is the last.
     """
-    fit, damping = start, 1e-4
-    squares = _squares(corners, fit)
+    fit, damping = start, DAMPING
+    linear = linearise(corners, fit)
+    squares = linear.squares
     for _ in range(steps):
-        linear = linearise(corners, fit)
-        for _ in range(12):
-            moved = _step(linear, fit, damping)
-            now = _squares(corners, moved) if moved is not None else np.inf
-            if moved is not None and now <= squares:
-                break
-            damping *= 8
-        else:
-            return fit
-        is_settled = squares - now <= settled * squares
-        fit, squares, damping = moved, now, max(damping / 20, 1e-14)
-        if is_settled:
-            break
+        moved, promised = _step(linear, fit, damping)
+        if moved is not None and promised <= settled * squares:
+            return moved
+        ahead = None if moved is None else linearise(corners, moved)
+        if moved is None or ahead is None or not ahead.squares <= squares:
+            damping *= 10
+            continue
+        fit, linear, squares, damping = moved, ahead, ahead.squares, max(damping / 30, 1e-14)
     return fit
 
 
 def fit_poses(corners: Corners, fit: LensFit, steps: int = 2) -> LensFit:
     """Fit the poses alone, by plain steps from poses that are close."""
+    none = np.zeros(fit.shared)
     for _ in range(steps):
-        linear = linearise(corners, fit, with_shared=False)
-        J = linear.J_pose
-        H = J.swapaxes(-1, -2) @ J
-        H = H + 1e-12 * np.trace(H, axis1=-2, axis2=-1)[:, None, None] * np.eye(6)
-        g = np.einsum("vcp,vc->vp", J, linear.residual)
-        fit = _moved(fit, np.zeros(fit.shared), -np.linalg.solve(H, g[..., None])[..., 0])
+        table = linearise(corners, fit, with_shared=False).table
+        H = table.swapaxes(-1, -2) @ table
+        inner, slope = H[:, :6, :6], H[:, :6, 6:]
+        inner = inner + 1e-12 * np.trace(inner, axis1=-2, axis2=-1)[:, None, None] * np.eye(6)
+        fit = _moved(fit, none, -np.linalg.solve(inner, slope)[..., 0])
     return fit
 
 
-def _squares(corners: Corners, fit: LensFit) -> float:
-    error = residuals(corners, fit) * corners.weight[..., None]
-    return float((error**2).sum())
-
-
-def _step(linear: Linear, fit: LensFit, damping: float) -> LensFit | None:
-    """One damped Gauss-Newton step; None where it cannot be solved."""
-    J, P, r = linear.J_shared, linear.J_pose, linear.residual
-    H_pp = P.swapaxes(-1, -2) @ P
-    H_sp = J.swapaxes(-1, -2) @ P
-    H_ss = (J.swapaxes(-1, -2) @ J).sum(axis=0)
-    g_p = np.einsum("vcp,vc->vp", P, r)
-    g_s = np.einsum("vcs,vc->s", J, r)
+def _step(linear: Linear, fit: LensFit, damping: float) -> tuple[LensFit | None, float]:
+    """One damped Gauss-Newton step and the fall of the squares it promises; None where singular."""
+    S = linear.shared
+    H = linear.table.swapaxes(-1, -2) @ linear.table
+    total = H[:, :S].sum(axis=0)
+    H_ss, g_s = total[:, :S], total[:, -1]
+    H_pp, H_ps = H[:, S:-1, S:-1], H[:, S:-1, :S]
+    g_p = H[:, S:-1, -1]
     H_pp = H_pp + damping * _diagonal(H_pp)
     H_ss = H_ss + damping * _diagonal(H_ss)
+    scale = 1 / np.sqrt(np.maximum(np.diagonal(H_ss), 1e-300))
     try:
-        solved = np.linalg.solve(
-            H_pp, np.concatenate([H_sp.swapaxes(-1, -2), g_p[..., None]], axis=-1)
-        )
-        reduced = H_ss - (H_sp @ solved[..., :-1]).sum(axis=0)
-        right = g_s - (H_sp @ solved[..., -1:]).sum(axis=0)[:, 0]
-        scale = 1 / np.sqrt(np.maximum(np.diagonal(H_ss), 1e-300))
+        solved = np.linalg.solve(H_pp, np.concatenate([H_ps, g_p[..., None]], axis=-1))
+        taken = (H_ps.swapaxes(-1, -2) @ solved).sum(axis=0)
+        reduced, right = H_ss - taken[:, :-1], g_s - taken[:, -1]
         shared = -scale * np.linalg.solve(scale[:, None] * reduced * scale, scale * right)
     except np.linalg.LinAlgError:
-        return None
-    pose = -solved[..., -1] - solved[..., :-1] @ shared
-    if not (np.isfinite(shared).all() and np.isfinite(pose).all()):
-        return None
+        return None, 0.0
+    pose = -(solved[..., -1] + solved[..., :-1] @ shared)
+    promised = -float(g_s @ shared + (g_p * pose).sum())
+    if not np.isfinite(promised):
+        return None, 0.0
     moved = _moved(fit, shared, pose)
-    return moved if (moved.lens[:2] > 0).all() else None
+    return (moved, promised) if (moved.lens[:2] > 0).all() else (None, 0.0)
 
 
 def _diagonal(H: Array) -> Array:
@@ -281,7 +287,7 @@ def _diagonal(H: Array) -> Array:
 def _moved(fit: LensFit, shared: Array, pose: Array) -> LensFit:
     columns = len(fit.model.columns)
     lens = fit.lens.copy()
-    lens[..., list(fit.model.columns)] += shared[:columns]
+    lens[..., fit.model.columns] += shared[:columns]
     return replace(
         fit,
         lens=lens,
@@ -292,14 +298,16 @@ def _moved(fit: LensFit, shared: Array, pose: Array) -> LensFit:
 
 
 def _turns(vectors: Array) -> Array:
-    """Rotation matrices [V, 3, 3] about vectors [V, 3] by their length, rad."""
-    angle = np.linalg.norm(vectors, axis=-1)[:, None, None]
-    x, y, z = vectors.T
-    zero = np.zeros_like(x)
-    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
-    # sin(a)/a and (1 - cos a)/a^2, sinc being sin(pi t)/(pi t)
-    first, second = np.sinc(angle / np.pi), 0.5 * np.sinc(angle / 2 / np.pi) ** 2
-    return np.asarray(np.eye(3) + first * cross + second * (cross @ cross))
+    """Rotation matrices [V, 3, 3] that to second order turn about vectors [V, 3] by their length.
+
+    Cayley's map: always a rotation, and without trigonometry.
+    """
+    cross = np.zeros((len(vectors), 3, 3))
+    for index, (row, column) in enumerate(((2, 1), (0, 2), (1, 0))):
+        cross[:, row, column] = vectors[:, index]
+        cross[:, column, row] = -vectors[:, index]
+    share = 1 / (1 + (vectors**2).sum(axis=-1) / 4)[:, None, None]
+    return np.asarray(np.eye(3) + share * (cross + 0.5 * cross @ cross))
 
 
 def view_rms(corners: Corners, error: Array) -> Array:

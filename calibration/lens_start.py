@@ -1,7 +1,6 @@
 """A first lens and the poses that go with it, from nothing but the corners."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,7 +72,7 @@ def _hold_down(corners: Corners, fit: LensFit) -> LensFit:
         if not (rms > limit).any():
             break
         share = np.minimum(1, limit / np.maximum(rms, 1e-12))[:, None]
-        fit = fit_lens(replace(corners, weight=corners.weight * share**2), fit)
+        fit = fit_lens(corners.weighing(corners.weight * share**2), fit)
     return fit
 
 

@@ -83,7 +83,7 @@ def _set_aside(corners: Corners, choice: Choice) -> Corners:
     scatter = np.maximum(middle, np.median(middle))[:, None] / 1.18  # the median of a Rayleigh
     far = (error > np.maximum(CORNER_FLOOR_PX, CORNER_FACTOR * scatter)) & (corners.weight > 0)
     few = far.sum(axis=1) <= MOST_CORNERS * corners.weight.sum(axis=1)
-    return replace(corners, weight=np.where(far & few[:, None], 0.0, corners.weight))
+    return corners.weighing(np.where(far & few[:, None], 0.0, corners.weight))
 
 
 def _odd_views(corners: Corners, choice: Choice) -> list[int]:
