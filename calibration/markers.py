@@ -23,12 +23,16 @@ COMMON = (
     "DICT_APRILTAG_36h11",
 )
 """Families of markers that are tried; a larger set of a family begins with the smaller one."""
+PLENTY = 8
+"""Markers that leave no doubt of their dictionary: of another one or two are misread."""
 FEWEST_MARKERS = 6
 """Different markers that tell a layout; any four fit any plane."""
 WIDEST = 30
 """Squares along x up to which a layout is sought."""
 LAYOUT_ERROR = 0.15
 """Squares that markers may stand off their places, which only a bent picture explains."""
+DRAWS = 200
+"""Fours of markers tried for a layout: one in two of them holds no misread marker."""
 LAYOUT_SHARE = 0.8
 """Share of the markers that must stand within it; the rest may be other things misread."""
 CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
@@ -80,7 +84,7 @@ def larger_of(name: str) -> str:
 
 
 def find_markers(grey: Grey, dictionaries: Sequence[str]) -> Markers | None:
-    """Find markers of the dictionary, of those given, that has most in the picture."""
+    """Find markers of the dictionary, of those given, that has most, or plenty, in the picture."""
     whole = as_bytes(grey)
     small = reduced(whole, SEARCH_SIDE)
     best: Markers | None = None
@@ -94,6 +98,8 @@ def find_markers(grey: Grey, dictionaries: Sequence[str]) -> Markers | None:
         steps = np.array(whole.shape[::-1]) / small.shape[::-1]
         corners = (np.reshape(quads, (-1, 4, 2)).astype(np.float64) + 0.5) * steps - 0.5
         best = Markers(dictionary=name, corners=corners, ids=np.ravel(ids).astype(np.int64))
+        if len(best.ids) >= PLENTY:
+            break
     return best
 
 
@@ -182,9 +188,10 @@ def _fits(markers: Markers) -> Iterator[tuple[float, bool, float, int, float]]:
             if np.ptp(centres, axis=0).min() < 1:
                 continue  # in one line they fit anything
             # from the picture to the board, so that the error is in squares
-            H: Any = cv2.findHomography(markers.corners.mean(1), centres, cv2.RANSAC, LAYOUT_ERROR)[
-                0
-            ]
+            H: Any
+            H, _ = cv2.findHomography(
+                markers.corners.mean(1), centres, cv2.RANSAC, LAYOUT_ERROR, maxIters=DRAWS
+            )
             if H is None:
                 continue
             placed = cv2.perspectiveTransform(markers.corners, H)
