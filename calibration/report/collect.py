@@ -61,6 +61,7 @@ def collect(
     left_out = [view for view in calibration.views if not view.is_used]
     found = [view.corners for view in used if view.corners is not None]
     gates = {gate.code for gate in calibration.gates}
+    places, errors = corner_errors(calibration, square=square)
     return Content(
         picture_size=(camera.width, camera.height),
         summary=_summary(calibration, square),
@@ -69,14 +70,30 @@ def collect(
         cautions=[c.message for c in calibration.warnings if c.code not in gates],
         corners=found,
         counts=calibration.grid,
-        places=np.concatenate(found),
-        errors=np.concatenate([_errors(calibration, view, square or 1.0) for view in used]),
+        places=places,
+        errors=errors,
         uncertainty=calibration.projection_std(),
         models=_models(calibration),
         left_out=[_left_out(view) for view in left_out],
         used=[_used(view) for view in used],
         curves=[] if response is None else _curves(response),
     )
+
+
+def corner_errors(calibration: Calibration, *, square: float | None = None) -> tuple[Array, Array]:
+    """Give all corners used, and by how much each was found off its predicted place.
+
+    Args:
+        calibration: with the poses of its views.
+        square: side of a square, metre, as the calibration was told.
+
+    Returns:
+        Places and errors, found less predicted, px [N, 2] each, view after view.
+    """
+    used = [view for view in calibration.used if view.corners is not None]
+    places = [view.corners for view in used if view.corners is not None]
+    errors = [_errors(calibration, view, square or 1.0) for view in used]
+    return np.concatenate(places), np.concatenate(errors)
 
 
 def _shown(calibration: Calibration) -> list[Gate]:

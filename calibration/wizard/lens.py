@@ -11,7 +11,7 @@ from calibration.wizard.photos import CAMERA_NAME, PHOTOS, known_camera
 from calibration.wizard.photos import STEP as PHOTOS_STEP
 from calibration.wizard.quantities import parse_length
 from calibration.wizard.questions import Question, Words, one_of, optional
-from toolkit.camera_file import read_camera, write_camera
+from toolkit.camera_file import read_camera
 
 if TYPE_CHECKING:
     from calibration.intrinsics import Calibration
@@ -63,6 +63,7 @@ def calibrate_lens(desk: Desk) -> Outcome:
         lens = read_camera(camera)
         known = f"{lens.width}x{lens.height} px, {lens.model}, fx {lens.fx:.1f} px"
         return Outcome(status="skipped", told=(known,))
+    from calibration.intrinsics import write_calibration
     from calibration.report.collect import write_report
 
     photos, square = desk.ask(PHOTOS), desk.ask_if_needed(SQUARE)
@@ -76,8 +77,7 @@ def calibrate_lens(desk: Desk) -> Outcome:
     desk.check_writable(page)
     request = BoardRequest(kind=kind, size=size, square_m=square)
     result = _calibrate(desk, photos, request, model)
-    names = [view.path.name for view in result.used]
-    write_camera(out, result.camera, rms_px=result.rms_px, views=len(names), images=names)
+    write_calibration(out, result)
     write_report(page, result, square=square)
     told = [*_told(result), f"wrote {out}, and {page} to look at in a browser"]
     outcome = desk.done(STEP, key, told=told, outputs=(out, page))

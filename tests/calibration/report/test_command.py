@@ -1,3 +1,5 @@
+import json
+
 import numpy as np
 import pytest
 
@@ -32,6 +34,18 @@ def test_the_command_writes_the_page_beside_the_camera(run, tmp_path):
     assert "The response" in page
     assert "4 of 5 used" in page
     assert (tmp_path / "camera.toml").exists()
+
+
+def test_json_carries_what_the_page_shows(run, capsys):
+    assert run("--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    errors = np.array(told["residuals"]["error_px"])
+    assert errors.shape == np.array(told["residuals"]["place_px"]).shape == (4 * 54, 2)
+    assert np.sqrt((errors**2).sum(-1).mean()) == pytest.approx(told["rms_px"], abs=0.002)
+    assert np.array(told["grid"]).shape == (5, 5)
+    assert np.array(told["projection_std_px"], dtype=float).ndim == 2
+    for key in ("model_scores", "gates", "advice", "halves", "views"):
+        assert key in told
 
 
 @pytest.mark.parametrize(
