@@ -6,6 +6,7 @@ stay saddle points at their true place; where the two edges are not square to ea
 right at the corner differs from exact blur, alike on opposite sides.
 """
 
+import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from calibration.corners import find_corners
 from toolkit.camera import Camera
+from toolkit.files import write_text
 from toolkit.synthetic.boards import BoardPose, board_points, board_poses
 
 Array = NDArray[np.float64]
@@ -174,13 +176,20 @@ def load_set(
     seed: int, rays: dict[str, Array], *, views: int, sag: float, folder: Path
 ) -> BoardSet:
     """Give a set from the folder, or make it and put it there."""
-    path = folder / f"set-{seed}-{views}-{sag * 1000:g}.npz"
+    path = folder / f"set-{seed}-{views}-{sag * 1000:g}.json"
     if path.is_file():
-        kept = np.load(path)
+        kept = json.loads(path.read_text(encoding="utf-8"))
         return BoardSet(
-            lens=str(kept["lens"]), corners=list(kept["corners"]), true=list(kept["true"])
+            lens=kept["lens"],
+            corners=[np.array(view) for view in kept["corners"]],
+            true=[np.array(view) for view in kept["true"]],
         )
     result = make_set(seed, rays, views=views, sag=sag)
     folder.mkdir(parents=True, exist_ok=True)
-    np.savez(path, lens=result.lens, corners=result.corners, true=result.true)
+    plain = {
+        "lens": result.lens,
+        "corners": [view.tolist() for view in result.corners],
+        "true": [view.tolist() for view in result.true],
+    }
+    write_text(path, json.dumps(plain))
     return result
