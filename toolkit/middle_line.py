@@ -110,7 +110,8 @@ def _drawn(basis: SplineBasis, coefficients: Tensor, first: float, last: float) 
     inner = along.clamp(basis.start, basis.stop)
     ahead = basis(inner, 1) @ coefficients
     ahead = ahead / torch.linalg.vector_norm(ahead, dim=-1, keepdim=True).clamp_min(1)
-    return basis(inner) @ coefficients + (along - inner)[:, None] * ahead
+    line: Tensor = basis(inner) @ coefficients + (along - inner)[:, None] * ahead
+    return line
 
 
 def _walked(window: Mask) -> NDArray[np.float32]:
