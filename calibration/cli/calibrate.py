@@ -93,6 +93,8 @@ def calibrate(
 
         write_report(report, result, square=square, response=curve)
     typer.echo((_json_text if json else _text)(found, result, out, square))
+    if report is not None and not json:
+        typer.echo(f"wrote {_printable(str(report))}, to look at in a browser")
 
 
 def _check_out(out: Path, photos: Sequence[Path]) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from toolkit.errors import ConfigError
+from toolkit.errors import CalibrationError, ConfigError, ToolkitError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from calibration.wizard.run import Step
 
 SCHEMA = "toolkit.wizard-run/1"
+REFUSED = CalibrationError.exit_code
 EITHER = (("images", "camera"), ("bracket", "response"))
 """Answers of which one takes the place of the other."""
 MANY = ("--images", "--bracket", "--background", "--ball-image")
@@ -159,10 +160,21 @@ def wizard(
     desk = _desk(folder, given, redo or (), replace, json)
     from calibration.wizard.run import run_wizard
 
+    outcomes: dict[str, Outcome] = {}
+    show = _shower(json)
+
+    def on_outcome(step: "Step", outcome: "Outcome") -> None:
+        outcomes[step.name] = outcome
+        show(step, outcome)
+
     try:
-        outcomes = run_wizard(desk, on_outcome=_shower(json))
+        run_wizard(desk, on_outcome=on_outcome)
     except (KeyboardInterrupt, typer.Abort):
         _tell_how_to_go_on(desk)
+        raise
+    except ToolkitError as error:
+        if json and error.exit_code == REFUSED:
+            typer.echo(_json_text(desk, outcomes, str(error)))
         raise
     if json:
         typer.echo(_json_text(desk, outcomes))
@@ -279,16 +291,16 @@ def _tell_how_to_go_on(desk: "Desk") -> None:
     typer.echo(f"\nkept: {done}; `toolkit wizard{_printable(where)}` goes on from here", err=True)
 
 
-def _json_text(desk: "Desk", outcomes: "dict[str, Outcome]") -> str:
+def _json_text(desk: "Desk", outcomes: "dict[str, Outcome]", reason: str | None = None) -> str:
     from json import dumps
 
     from calibration.wizard.rig_step import rig_path
 
     table: dict[str, Any] = {
         "schema": SCHEMA,
-        "status": "ok",
-        "reason": None,
-        "rig": str(rig_path(desk)),
+        "status": "ok" if reason is None else "refused",
+        "reason": reason,
+        "rig": str(rig_path(desk)) if "rig" in outcomes else None,
         "steps": [
             {"name": name, "status": outcome.status, "told": list(outcome.told)}
             for name, outcome in outcomes.items()

@@ -110,7 +110,7 @@ def _summary(calibration: Calibration, square: float | None) -> list[tuple[str, 
         ("photos", f"{len(calibration.used)} of {len(calibration.views)} used"),
         ("lens", camera.model),
         *_numbers(camera),
-        ("error", f"{calibration.rms_px:.3f} px RMS, {calibration.held_out_px:.3f} px left out"),
+        ("error", _error(calibration)),
     ]
     if calibration.halves is not None:
         rows.append(
@@ -124,6 +124,11 @@ def _summary(calibration: Calibration, square: float | None) -> list[tuple[str, 
         ratios = ", ".join(f"{ratio:.2f}" for ratio in calibration.bootstrap_ratio)
         rows.append(("bootstrap", f"{ratios} times the stated scatter of fx, fy, cx, cy"))
     return rows
+
+
+def _error(calibration: Calibration) -> str:
+    held_out = f"{calibration.held_out_px:.3f} px on views left out of the fit"
+    return f"{calibration.rms_px:.3f} px RMS, {held_out}"
 
 
 def _shape(calibration: Calibration) -> str:

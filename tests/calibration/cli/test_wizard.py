@@ -203,6 +203,19 @@ def test_flags_alone_do_it_and_json_tells_what_was_done(scene, capsys, monkeypat
     assert {name for name, status in steps.items() if status == "done"} == {"ball", "rig"}
 
 
+def test_a_refusal_is_exit_5_and_one_json_object(scene, capsys, monkeypatch):
+    monkeypatch.chdir(scene)
+    words = ["--images", "my boards/board_00.dng", "shot.dng", "background.dng", "--json"]
+    assert main(["wizard", *words, "--background", "background.dng", "--radius", "5 cm"]) == 5
+    text = capsys.readouterr()
+    told = json.loads(text.out)
+    assert told["status"] == "refused"
+    assert told["reason"] in text.err
+    assert told["rig"] is None
+    assert [step["name"] for step in told["steps"]] == ["board", "photos"]
+    assert not (scene / "camera.toml").exists()
+
+
 def test_options_of_pictures_take_what_a_shell_makes_of_a_pattern():
     words = ["--images", "a", "b", "--radius", "5 cm", "--background", "c", "d", "--json"]
     assert spread(words) == [
