@@ -20,7 +20,10 @@ def main() -> None:
     parser.add_argument("--data", type=Path, required=True, help="folder of the photo folders")
     data = parser.parse_args().data
     head = "".join(f"{name + ' px':>18}" for name in NAMES)
-    print(f"{'photos':<12}{'board':>6}{'used':>8}{'RMS px':>8}{head}{'terms':>7}{'time s':>8}")
+    print(
+        f"{'photos':<12}{'board':>6}{'used':>8}{'RMS px':>8}{'held-out':>10}{head}"
+        f"{'time s':>8}  lens"
+    )
     for folder in FOLDERS:
         images = sorted((data / folder).glob("*.jpg"))
         start = time.perf_counter()
@@ -36,8 +39,10 @@ def row(folder: str, result: Calibration, seconds: float) -> str:
         f"{getattr(camera, name):>11.2f} ± {s:.2f}" for name, s in zip(NAMES, std, strict=False)
     )
     board, used = "x".join(map(str, result.board)), f"{len(result.used)}/{len(result.views)}"
-    terms = len(camera.distortion)
-    return f"{folder:<12}{board:>6}{used:>8}{result.rms_px:>8.3f}{numbers}{terms:>7}{seconds:>8.1f}"
+    taken = next(score for score in result.model_scores if score.is_taken)
+    errors = f"{result.rms_px:>8.3f}{result.held_out_px:>10.3f}"
+    lens = f"{taken.model}, {'bent' if taken.is_bent else 'flat'} board"
+    return f"{folder:<12}{board:>6}{used:>8}{errors}{numbers}{seconds:>8.1f}  {lens}"
 
 
 if __name__ == "__main__":
