@@ -23,6 +23,10 @@ ROUNDS = 3
 STEPS = 40
 TAILS = 2.0
 """Degrees of freedom of the bends' t distribution."""
+EXPECTED = (TAILS + 1) / (TAILS + 3)
+"""Expected information of such a bend over that of the normal one with the same scale."""
+TINY = 1e-9
+"""Added to every sum of squares, so that what nothing tells has an inverse."""
 SETTLED = 1e-4
 """Step of every coefficient below which the fit has settled."""
 LONGEST = 1.0
@@ -129,7 +133,7 @@ def _settle(state: _State, groups: PixelGroups, stops: Array) -> None:
         bend_weights = (TAILS + 1) / (TAILS + state.smoothing * own**2)
         prior = state.smoothing * bends.T @ (bend_weights[:, None] * bends)
         place = np.append(state.curve.coefficients, 0.0)
-        matrix = normal.matrix / state.misfit + prior + 1e-9 * np.eye(len(prior))
+        matrix = normal.matrix / state.misfit + prior + TINY * np.eye(len(prior))
         gradient = normal.gradient / state.misfit - prior @ place
         change = np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), gradient)
         change *= min(1.0, LONGEST / float(np.abs(change[:size]).max()))
@@ -146,6 +150,12 @@ def _settle(state: _State, groups: PixelGroups, stops: Array) -> None:
         gain = _update(state, normal, groups, bends, bend_weights)
         if float(np.abs(change).max()) < SETTLED and gain < 0.02:
             break
+    own = bends[:, :size] @ state.curve.coefficients
+    # the weights of the search hold bends tighter than a t distribution does: by its expected
+    # information at most, a bend is known by the prior
+    bend_weights = np.minimum((TAILS + 1) / (TAILS + state.smoothing * own**2), EXPECTED)
+    prior = state.smoothing * bends.T @ (bend_weights[:, None] * bends)
+    state.covariance = np.linalg.inv(normal.matrix / state.misfit + prior + TINY * np.eye(size + 1))
 
 
 def _moved(state: _State, normal: _Normal, change: Array) -> _State:
@@ -208,9 +218,8 @@ def _update(
     """Set smoothing and misfit by what was found; give how far the smoothing's logarithm moved."""
     size = len(state.curve.coefficients)
     prior = state.smoothing * bends.T @ (bend_weights[:, None] * bends)
-    matrix = normal.matrix / state.misfit + prior + 1e-9 * np.eye(len(prior))
+    matrix = normal.matrix / state.misfit + prior + TINY * np.eye(len(prior))
     covariance = np.linalg.inv(matrix)
-    state.covariance = covariance
     own = bends[:, :size] @ state.curve.coefficients
     numbers = float(np.trace(covariance @ normal.matrix)) / state.misfit
     freedom = int(groups.used.sum()) - len(groups.light) - numbers

@@ -29,6 +29,8 @@ STRANGE = 0.3
 """Share of places that may contradict a photo before it counts as another scene."""
 STRAYS = 1.0
 """Stops by which a place may differ in one photo before it counts as changed, or as a border."""
+STRAIGHT = 0.01
+"""Relative departure up to which light counts as proportional to brightness."""
 FEW = 500
 """Values from which a photo's own time is judged."""
 
@@ -43,6 +45,7 @@ class ChannelFit:
     residual: float  # stops rms, of all single values between the other photos' light and this
     misfit: float  # squared, over noise
     bend: float  # largest relative departure from proportional light between 0.1 and 0.9
+    linear_up_to: float  # brightness up to which light is proportional to 1 %; 0: nowhere
 
     @property
     def largest_std(self) -> float:
@@ -74,6 +77,11 @@ class MeasuredResponse:
     def bend(self) -> float:
         """Largest relative departure from proportional light of any channel."""
         return max(channel.bend for channel in self.channels)
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether the photos are RAW and need no curve."""
+        return self.bracket.is_raw and self.bend <= 2 * STRAIGHT
 
 
 def measure_response(
@@ -141,6 +149,7 @@ def fit_channel(bracket: Bracket, channel: int) -> ChannelFit:
         residual=residual,
         misfit=fit.misfit,
         bend=_bend(curve),
+        linear_up_to=_linear_up_to(curve, seen[1]),
     )
 
 
@@ -283,6 +292,19 @@ def _time_doubts(bracket: Bracket, errors: Array) -> list[Caution]:
         for path, time, error in zip(bracket.paths, bracket.times, errors, strict=True)
         if abs(error) > WRONG_TIME / 2
     ]
+
+
+def _linear_up_to(curve: SampledCurve, highest: float) -> float:
+    """Give the brightness up to which the line of the lower half holds, as far as was seen."""
+    lower = (curve.brightness >= 0.1) & (curve.brightness <= 0.5)
+    b, light = curve.brightness, curve.exposure
+    factor = float((b * light)[lower].sum() / (light * light)[lower].sum())
+    judged = (b >= 0.1) & (b <= highest)
+    departs = np.abs(factor * light[judged] / b[judged] - 1) > STRAIGHT
+    if not departs.any():
+        return highest
+    first = int(np.argmax(departs))
+    return 0.0 if first == 0 else float(b[judged][first - 1])
 
 
 def _bend(curve: SampledCurve) -> float:

@@ -65,7 +65,8 @@ def response(
     except ToolkitError as error:
         _report_refusal(error, json)
         raise
-    _write(out, result)
+    if not result.is_linear:  # a curve would only add its own noise to light that needs none
+        _write(out, result)
     typer.echo(_json_text(result, out) if json else _text(result, out))
 
 
@@ -147,13 +148,14 @@ def _text(result: "MeasuredResponse", out: Path) -> str:
             f"{channel.largest_std:.5f} of white at most; exposures agree to "
             f"{channel.residual:.3f} stops rms"
         )
-    level = min(channel.seen[1] for channel in result.channels)
-    if bracket.is_raw:
-        lines.append(f"linear to {100 * result.bend:.2f} % up to {level:.2f} of white")
-    elif result.bend < 0.02:
+    level = min(channel.linear_up_to for channel in result.channels)
+    if bracket.is_raw or level > 0.5:
         lines.append(
-            f"proportional to light to {100 * result.bend:.2f} %: --response linear will do"
+            f"proportional to light to {100 * result.bend:.2f} % between a tenth and nine tenths "
+            f"of white, and to 1 % up to {level:.2f}"
         )
+    if result.is_linear:
+        return "\n".join([*lines, "these RAW photos need no response file; none was written"])
     return "\n".join([*lines, f"wrote {_printable(str(out))}"])
 
 
@@ -171,7 +173,8 @@ def _json_text(result: "MeasuredResponse", out: Path) -> str:
             "seen": list(channel.seen),
             "residual_stops": channel.residual,
             "misfit": channel.misfit,
-            "linear_to": channel.bend,
+            "bend": channel.bend,
+            "linear_up_to": channel.linear_up_to,
         }
         for name, channel in zip("rgb", result.channels, strict=True)
     }
@@ -179,11 +182,12 @@ def _json_text(result: "MeasuredResponse", out: Path) -> str:
         "schema": SCHEMA,
         "status": "ok",
         "reason": None,
-        "out": str(out),
+        "out": None if result.is_linear else str(out),
         "images": [str(path) for path in bracket.paths],
         "times_s": bracket.times.tolist(),
         "time_errors_stops": [e if e == e else None for e in result.time_errors.tolist()],
         "is_raw": bracket.is_raw,
+        "is_linear": result.is_linear,
         "channels": channels,
         "left_out": [{"path": str(path), "reason": reason} for path, reason in bracket.left_out],
         "warnings": result.warnings,

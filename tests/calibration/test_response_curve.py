@@ -97,6 +97,24 @@ def test_times_come_from_the_files_and_deep_grey_raw_is_linear(tmp_path):
     assert result.bracket.is_raw
     assert result.bracket.times == pytest.approx(TIMES)
     assert result.bend < 0.01
+    assert result.is_linear
+    assert min(channel.linear_up_to for channel in result.channels) > 0.85
+
+
+def test_a_sensor_that_bends_near_white_is_told(tmp_path):
+    light = cv2.resize(scene()[0], (480, 360))
+    rng = np.random.default_rng(1)
+    paths = []
+    for index, time in enumerate(TIMES):
+        paths.append(tmp_path / f"raw{index}.dng")
+        seen = np.clip(light * time, 0, 1.3)
+        bent = seen - 0.5 * np.maximum(seen - 0.6, 0) ** 2  # half as steep near white
+        stored = np.rint(4095 * np.clip(bent + rng.normal(0, 1e-3, light.shape), 0, 0.95) / 0.95)
+        write_dng(paths[-1], stored.astype(np.uint16), white=4095, exposure_s=time)
+    result = measure_response(paths)
+    assert not result.is_linear
+    for channel in result.channels:
+        assert channel.linear_up_to == pytest.approx(0.71 / 0.95, abs=0.04)
 
 
 @pytest.mark.parametrize(
