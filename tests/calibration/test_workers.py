@@ -1,4 +1,5 @@
 import threading
+import time
 
 import pytest
 
@@ -19,3 +20,17 @@ def test_as_many_are_done_at_a_time_as_there_are_workers():
 def test_an_error_of_one_item_reaches_the_caller():
     with pytest.raises(ZeroDivisionError):
         list(in_parallel(lambda n: 1 / n, [1, 0, 2]))
+
+
+def test_items_not_begun_are_dropped_when_the_caller_stops():
+    begun = []
+
+    def slow(item):
+        begun.append(item)
+        time.sleep(0.02)
+        return item
+
+    results = in_parallel(slow, range(1000))
+    assert next(results) == 0
+    results.close()
+    assert len(begun) < 100
