@@ -122,6 +122,9 @@ def wizard(
     shot: Annotated[
         str | None, typer.Option(metavar="F", help="A shot to try the rig on, or none.")
     ] = None,
+    accept: Annotated[
+        bool, typer.Option("--accept", help="Go on with a camera that has cautions.")
+    ] = False,
     redo: Annotated[
         list[str] | None,
         typer.Option(metavar="STEP", help="Answer a step anew; repeat it for several."),
@@ -157,7 +160,8 @@ def wizard(
         kind_of_ball=_word(kind_of_ball),
         shot=_word(shot),
     )
-    desk = _desk(folder, given, redo or (), replace, json)
+    desk = _desk(folder, given, redo or (), json)
+    desk.may_replace, desk.takes_doubtful = replace, accept
     from calibration.wizard.run import run_wizard
 
     outcomes: dict[str, Outcome] = {}
@@ -197,7 +201,7 @@ def _given(**words: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
 
 
 def _desk(
-    folder: Path, given: dict[str, tuple[str, ...]], redo: Sequence[str], replace: bool, json: bool
+    folder: Path, given: dict[str, tuple[str, ...]], redo: Sequence[str], json: bool
 ) -> "Desk":
     from calibration.wizard.desk import Desk
     from calibration.wizard.memory import read_memory
@@ -231,7 +235,6 @@ def _desk(
         memory=memory,
         progress=_progress,
         tell=_teller(json),
-        may_replace=replace,
     )
 
 

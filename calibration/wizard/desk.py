@@ -46,6 +46,7 @@ class Desk:
     progress: Progress = no_progress
     tell: Callable[[str], None] = lambda text: None
     may_replace: bool = False  # files that the wizard did not write
+    takes_doubtful: bool = False  # goes on with a camera that has cautions, unasked
     _allowed: set[Path] = field(default_factory=set)
 
     @property

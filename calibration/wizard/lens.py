@@ -126,7 +126,7 @@ def _named(view: "View") -> str:
 
 def _offer_more_photos(desk: Desk, result: "Calibration", outcome: Outcome) -> None:
     """Let the person add photos where the camera is good enough, but could be surer."""
-    if not (result.warnings and desk.has_person):
+    if not result.warnings or desk.takes_doubtful or not desk.has_person:
         return
     for line in outcome.told:
         desk.tell(f"  {line}")

@@ -135,6 +135,14 @@ def test_the_person_may_add_photos_to_a_weak_camera(scene, make_desk):
     assert "6 of 6 photos used" in outcomes["lens"].told[0]
 
 
+def test_a_doubtful_camera_can_be_accepted_beforehand(scene, make_desk):
+    given = GIVEN | {"readout": ("0",), "radius_std": ("none",), "ball_image": ("none",)}
+    desk = make_desk(scene, given=given | {"shot": ("none",)}, takes_doubtful=True)
+    outcomes = run_wizard(desk)  # with somebody there who is asked nothing
+    assert any(line.startswith("caution: ") for line in outcomes["lens"].told)
+    assert desk.asker.person.heard == []
+
+
 def test_a_camera_file_takes_the_place_of_photos(done, tmp_path, make_desk):
     scene = done
     other = tmp_path / "other"
