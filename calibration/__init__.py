@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from calibration.intrinsics import Calibration as Calibration
     from calibration.intrinsics import calibrate as calibrate
     from calibration.intrinsics import calibrate_views as calibrate_views
+    from calibration.intrinsics import write_calibration as write_calibration
 
 _HOME = {
     "Board": "calibration.board",
@@ -32,6 +33,7 @@ _HOME = {
     "find_boards": "calibration.corners",
     "search_boards": "calibration.corners",
     "write_board": "calibration.board_page",
+    "write_calibration": "calibration.intrinsics",
     "import_camera": "calibration.formats.convert",
 }
 

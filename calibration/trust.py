@@ -29,7 +29,7 @@ DOUBTFUL_ERROR, WORST_ERROR = 0.0005, 0.005
 from which it is refused."""
 DOUBTFUL_DIFFERENCE = 0.0005
 """Difference of two halves' lenses over the diagonal that passes whatever was expected."""
-HALVES_FACTOR = 3.0
+HALVES_FACTOR = 4.0
 """Difference of the halves over what the covariance expects, from which they contradict it."""
 
 

@@ -18,6 +18,7 @@ import calibration
         "import_camera",
         "search_boards",
         "write_board",
+        "write_calibration",
     ],
 )
 def test_public_names_load_when_asked_for(name):
