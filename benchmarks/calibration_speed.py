@@ -4,7 +4,7 @@
 
 The recipe is told the board's size; the toolkit finds it. Both read the files. The photos are used
 as they are and enlarged to 4 megapixels; the two take turns, and the median over the turns counts.
-Without `--turns` the machine should be idle: threads of the toolkit then use a second core.
+The toolkit looks at two photos at a time, which the clock sees where a second core is idle.
 """
 
 import argparse
