@@ -53,7 +53,8 @@ def lens_doubt(corners: Corners, choice: Choice) -> Doubt:
     focal = 0.0
     for other in _richer(choice):
         change = _compensated(information, other.fit.lens[:4] - taken.fit.lens[:4])
-        richer = common * variance * _inverse(reduce_poses(corners, other.fit).information.sum(0))
+        told = reduce_poses(corners, other.fit).information.sum(axis=0)
+        richer = common * variance * _inverse(told, floor=OPEN)
         change = change * _beyond_chance(change[:4], richer[:4, :4] - covariance[:4, :4])
         covariance = covariance + np.outer(change, change)
         focal = float(np.hypot(focal, change[:2].mean()))
