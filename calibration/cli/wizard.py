@@ -183,7 +183,9 @@ def wizard(
     if json:
         typer.echo(_json_text(desk, outcomes))
     else:
-        where = "this folder" if folder == Path() else _printable(str(folder))
+        from calibration.wizard.questions import printable
+
+        where = "this folder" if folder == Path() else printable(str(folder))
         typer.echo(f"next: toolkit measure SHOT, for a shot in {where}")
 
 
@@ -249,7 +251,9 @@ def _teller(json: bool) -> "Callable[[str], None]":
     """Show headings and advice to a person; nobody else needs them."""
     if not _is_terminal() or _is_quiet():
         return lambda text: None
-    return lambda text: typer.echo(text, err=json)
+    from calibration.wizard.questions import printable
+
+    return lambda text: typer.echo(printable(text), err=json)
 
 
 def _shower(json: bool) -> "Callable[[Step, Outcome], None]":
@@ -257,10 +261,12 @@ def _shower(json: bool) -> "Callable[[Step, Outcome], None]":
     if json and (not _is_terminal() or _is_quiet()):
         return lambda step, outcome: None
 
+    from calibration.wizard.questions import printable
+
     def show(step: "Step", outcome: "Outcome") -> None:
         note = "  (done before, unchanged)" if outcome.status == "kept" else ""
         lines = outcome.told or ("nothing to do",)
-        texts = [_printable(line) for line in lines]
+        texts = [printable(line) for line in lines]
         typer.echo(f"{step.name}: {texts[0]}{note}", err=json)
         for text in texts[1:]:
             typer.echo(f"  {text}", err=json)
@@ -289,9 +295,11 @@ def _progress(text: str, count: int) -> Iterator["Callable[[Path], None]"]:
 
 
 def _tell_how_to_go_on(desk: "Desk") -> None:
+    from calibration.wizard.questions import printable
+
     done = ", ".join(desk.memory.steps) or "nothing yet"
     where = "" if desk.folder == Path() else f" --folder {desk.folder}"
-    typer.echo(f"\nkept: {done}; `toolkit wizard{_printable(where)}` goes on from here", err=True)
+    typer.echo(f"\nkept: {done}; `toolkit wizard{printable(where)}` goes on from here", err=True)
 
 
 def _json_text(desk: "Desk", outcomes: "dict[str, Outcome]", reason: str | None = None) -> str:
@@ -310,8 +318,3 @@ def _json_text(desk: "Desk", outcomes: "dict[str, Outcome]", reason: str | None 
         ],
     }
     return dumps(table)
-
-
-def _printable(text: str) -> str:
-    """Keep control characters and undecodable bytes of file names from the terminal."""
-    return "".join(c if c.isprintable() else "?" for c in text)

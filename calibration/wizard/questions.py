@@ -44,14 +44,14 @@ class Terminal:
         """Ask on stderr; an end of the input or Ctrl-C ends the program (typer.Abort)."""
         import typer
 
-        line = typer.prompt(text, default=default, show_default=bool(default), err=True)
-        return str(line)
+        shown = printable(f"{text} [{default}]" if default else text)
+        return str(typer.prompt(shown, default=default, show_default=False, err=True))
 
     def tell(self, text: str) -> None:
         """Show a line on stderr, as plain text."""
         import typer
 
-        typer.echo(text, err=True)
+        typer.echo(printable(text), err=True)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -151,6 +151,11 @@ def _converse(person: Person, question: Question[T], default: Words | None) -> t
             return question.parse(words), words
         except ConfigError as error:
             person.tell(f"! {error}")
+
+
+def printable(text: str) -> str:
+    """Keep control characters and undecodable bytes of file names from the terminal."""
+    return "".join(c if c.isprintable() else "?" for c in text)
 
 
 def _read(question: Question[T], words: Words) -> T:

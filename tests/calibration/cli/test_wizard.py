@@ -177,6 +177,15 @@ def test_ctrl_c_keeps_what_is_done(scene, talk, capsys, monkeypatch):
     assert read_rig(scene / "rig.toml").ball_radius == 0.05
 
 
+def test_a_names_control_characters_do_not_reach_the_terminal(tmp_path, talk):
+    (tmp_path / "a\x1b[31m.jpg").touch()
+    person = talk("wizard", "--no-make-board", cwd=tmp_path)
+    person.answer("Photos of the board (a folder", "gone.jpg")
+    person.wait_for("holds a?[31m.jpg")
+    person.press_ctrl_c()
+    assert person.end() == 130
+
+
 def test_without_a_terminal_nothing_waits_and_every_missing_flag_is_named(tmp_path, capsys):
     assert main(["wizard", "--folder", str(tmp_path)]) == 2
     text = capsys.readouterr()
