@@ -116,7 +116,7 @@ def _told(board: Board) -> list[str]:
     return [
         name,
         "Print at 100 %; the bar above must then be 100 mm long. Glue it flat on a stiff plate.",
-        "Measure ten squares and give a tenth of that as --square. Then, with 10 to 20 photos:",
+        "Measure a row of squares; --square is its length over their number. With 10 to 20 photos:",
         command(board),
     ]
 
