@@ -20,12 +20,18 @@ if TYPE_CHECKING:
     from calibration.intrinsics import calibrate as calibrate
     from calibration.intrinsics import calibrate_views as calibrate_views
     from calibration.intrinsics import write_calibration as write_calibration
+    from calibration.noise_model import MeasuredNoise as MeasuredNoise
+    from calibration.noise_model import measure_noise as measure_noise
+    from calibration.response_curve import MeasuredResponse as MeasuredResponse
+    from calibration.response_curve import measure_response as measure_response
 
 _HOME = {
     "Board": "calibration.board",
     "BoardRequest": "calibration.board",
     "BoardSearch": "calibration.corners",
     "Calibration": "calibration.intrinsics",
+    "MeasuredNoise": "calibration.noise_model",
+    "MeasuredResponse": "calibration.response_curve",
     "View": "calibration.corners",
     "calibrate": "calibration.intrinsics",
     "calibrate_views": "calibration.intrinsics",
@@ -35,6 +41,8 @@ _HOME = {
     "write_board": "calibration.board_page",
     "write_calibration": "calibration.intrinsics",
     "import_camera": "calibration.formats.convert",
+    "measure_noise": "calibration.noise_model",
+    "measure_response": "calibration.response_curve",
 }
 
 

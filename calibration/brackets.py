@@ -22,6 +22,8 @@ FOG = 0.12
 """Brightness up to which a place may show stray light and noise alone."""
 LEAST_SHARED = 200
 """Places that two photos must both show well before they are compared."""
+WIDEST = 4.0
+"""Stops between two exposures over which smoothness alone no longer tells the curve."""
 SAME_TIME = 0.01
 """Share by which exposure times count as different."""
 FAINTEST = 0.02
@@ -122,6 +124,11 @@ def check_bracket(bracket: Bracket) -> None:
         raise CalibrationError(
             f"all photos are clipped: {whites:.0%} of the values are white and {blacks:.0%} black; "
             f"add {advice} exposures"
+        )
+    if not (np.diff(np.log2(bracket.times)) < WIDEST).any():
+        raise CalibrationError(
+            f"the response is not determined: all times are more than {WIDEST:.0f} stops apart; "
+            "add exposures between, best each twice as long as the one before"
         )
     for first in range(len(values) - 1):
         _check_neighbours(bracket, first, inside)

@@ -1,7 +1,7 @@
 """The inverse response of a camera from a bracket: curve, standard deviation and checks."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,8 @@ STRANGE = 0.3
 """Share of places that may contradict a photo before it counts as another scene."""
 STRAYS = 1.0
 """Stops by which a place may differ in one photo before it counts as changed, or as a border."""
+ROUNDED = 0.1
+"""Stops by which marked times differ from exact ones at most."""
 STRAIGHT = 0.01
 """Relative departure up to which light counts as proportional to brightness."""
 FEW = 500
@@ -107,6 +109,7 @@ def measure_response(
     """
     bracket = read_bracket(paths, times, on_photo=on_photo)
     check_bracket(bracket)
+    bracket, marked = _with_true_times(bracket)
     if bracket.is_grey:
         one = fit_channel(bracket, 0)
         channels = (one, one, one)
@@ -121,7 +124,40 @@ def measure_response(
     for name, channel in zip("RGB", channels, strict=True):
         _check_determined(name, channel.curve, channel.seen)
     doubts = _time_doubts(bracket, errors)
-    return MeasuredResponse(bracket=bracket, channels=channels, warnings=(*left_out, *doubts))
+    return MeasuredResponse(
+        bracket=bracket, channels=channels, warnings=(*left_out, *marked, *doubts)
+    )
+
+
+def exact_times(times: Array) -> Array | None:
+    """Give the times that a shutter marked in thirds of a stop really has; None for other times.
+
+    Shutters are marked in rounded numbers: 1/60 s stands for 1/64 s, 1/15 s for 1/16 s.
+    """
+    exact: Array = 2 ** (np.round(3 * np.log2(times)) / 3)
+    off = np.abs(np.log2(times / exact))
+    return exact if (off < ROUNDED).all() and off.max() > 1e-3 else None
+
+
+def _with_true_times(bracket: Bracket) -> tuple[Bracket, list[Caution]]:
+    """Take the times as exact stops where that explains the pictures far better."""
+    exact = exact_times(bracket.times)
+    if exact is None:
+        return bracket, []
+    other = replace(bracket, times=exact)
+    stated, meant = (_spread_of(one) for one in (bracket, other))
+    if not meant < stated / 2:
+        return bracket, []
+    text = (
+        f"the times fit the pictures better as exact stops than as stated ({meant:.3f} instead of "
+        f"{stated:.3f} stops off, rms), as where 1/60 s stands for 1/64 s; so they were taken"
+    )
+    return other, [Caution(code="times-rounded", message=text)]
+
+
+def _spread_of(bracket: Bracket) -> float:
+    errors = fit_channel(bracket, 1).time_errors
+    return float(np.sqrt(np.nanmean(errors**2))) if np.isfinite(errors).any() else np.inf
 
 
 def fit_channel(bracket: Bracket, channel: int) -> ChannelFit:

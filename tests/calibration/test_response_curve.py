@@ -24,7 +24,7 @@ def scene(seed=0):
     return 2 ** (2.7 * (smooth - smooth.mean()) / smooth.std() - 3)
 
 
-def photograph(folder, *, times=TIMES, light=None, gamma=2.2, seed=0, shift=0):
+def photograph(folder, *, times=TIMES, light=None, gamma=2.2, seed=0, shift=0, is_grey=True):
     rng = np.random.default_rng(seed)
     light = scene() if light is None else light
     paths = []
@@ -34,7 +34,7 @@ def photograph(folder, *, times=TIMES, light=None, gamma=2.2, seed=0, shift=0):
         noisy = stored + rng.normal(0, 1 / 255, stored.shape)
         picture = np.clip(np.rint(255 * noisy), 0, 255).astype(np.uint8).transpose(1, 2, 0)
         paths.append(folder / f"photo{index}.png")
-        cv2.imwrite(str(paths[-1]), picture[..., ::-1])
+        cv2.imwrite(str(paths[-1]), picture[..., 1] if is_grey else picture[..., ::-1])
     return paths
 
 
@@ -49,7 +49,7 @@ def worst(result, gamma=2.2):
 
 
 def test_a_bracket_in_any_order_gives_the_curve_of_each_channel(tmp_path):
-    paths = photograph(tmp_path)
+    paths = photograph(tmp_path, is_grey=False)
     seen = []
     result = measure_response(paths[::-1], TIMES[::-1], on_photo=seen.append)
     assert seen == paths[::-1]
@@ -67,7 +67,7 @@ def test_a_camera_that_moved_by_a_pixel_hardly_matters(tmp_path):
 
 
 def test_a_border_and_a_stranger_in_one_photo_hardly_matter(tmp_path):
-    paths = photograph(tmp_path)
+    paths = photograph(tmp_path, is_grey=False)
     picture = cv2.imread(str(paths[3]))
     picture[:, :12], picture[40:70, 50:90] = (200, 30, 120), (60, 200, 90)
     cv2.imwrite(str(paths[3]), picture)
@@ -117,6 +117,21 @@ def test_a_sensor_that_bends_near_white_is_told(tmp_path):
         assert channel.linear_up_to == pytest.approx(0.71 / 0.95, abs=0.04)
 
 
+def test_a_shutter_marked_in_rounded_times_is_understood(tmp_path):
+    light = scene() * 8
+    paths = photograph(tmp_path, times=2.0 ** np.arange(-6, 1), light=light)
+    marked = [1 / 60, 1 / 30, 1 / 15, 1 / 8, 1 / 4, 1 / 2, 1.0]
+    result = measure_response(paths, marked)
+    assert [caution.code for caution in result.warnings] == ["times-rounded"]
+    assert result.bracket.times == pytest.approx(2.0 ** np.arange(-6, 1))
+    assert worst(result) < 1e-3
+    # and one that keeps such times is believed
+    result = measure_response(photograph(tmp_path, times=marked, light=light), marked)
+    assert result.warnings == ()
+    assert result.bracket.times == pytest.approx(marked)
+    assert worst(result) < 1e-3
+
+
 @pytest.mark.parametrize(
     ("times", "text", "error"),
     [
@@ -156,8 +171,10 @@ def test_clipped_few_and_unlike_photos(tmp_path):
     paths = photograph(tmp_path)
     with pytest.raises(CalibrationError, match="one photo tells nothing"):
         measure_response(paths[:1], TIMES[:1])
-    with pytest.raises(CalibrationError, match="not determined"):
-        measure_response(paths[:2], TIMES[:2])
+    (tmp_path / "far").mkdir()
+    far = photograph(tmp_path / "far", times=(0.02, 1.0))
+    with pytest.raises(CalibrationError, match=r"not determined.*add"):
+        measure_response(far, (0.02, 1.0))
     write_png16(paths[1], np.full((3, 90, 160), 0.5, np.float32))
     with pytest.raises(MismatchError, match=r"photo1.png has 160x90 px"):
         measure_response(paths, TIMES)

@@ -70,7 +70,7 @@ def test_json_holds_one_object(photos, out, capsys):
         (7, "1,2,3,x,5,6,7", 2, "'x' is no time"),
         (7, ",".join(["1"] * 7), 5, "equally long"),
         (7, "8,4,2,1,1/2,1/4,1/8", 4, "darker"),
-        (2, "1/8,1/4", 5, "not determined"),
+        (1, "1/8", 5, "one photo tells nothing"),
         (0, None, 2, "no photos"),
     ],
 )
