@@ -15,6 +15,7 @@ from calibration.bootstrap import bootstrap_covariance
 from calibration.choose_lens import Tried
 from calibration.corners import View, search_boards
 from calibration.coverage import count_cells, facing, tilt_counts
+from calibration.different_views import count_different
 from calibration.halves import compare_halves
 from calibration.lens_doubt import Doubt, lens_doubt
 from calibration.lens_fit import LensFit, residuals, view_rms
@@ -32,8 +33,6 @@ Array = NDArray[np.float64]
 
 MOST_NAMED = 4
 """Photos that an error's one line names."""
-SAME_VIEW_SHARE = 0.01
-"""Views whose corners moved less than this share of the picture's diagonal count as one."""
 FEWEST_DRAWS = 20
 """Of a bootstrap; fewer tell a standard deviation to no better than a sixth."""
 
@@ -209,7 +208,7 @@ def _check_views(views: Sequence[View]) -> None:
     if all(view.picture_size is None for view in views):
         raise ImageError(f"none of the {len(views)} photos can be read: {reasons(views)}")
     used = [view for view in views if view.is_used]
-    different = _count_different(used)
+    different = count_different(used)
     if different >= FEWEST_VIEWS:
         return
     text = f"{different} different usable views of a board among {len(views)} photos"
@@ -230,30 +229,6 @@ def reasons(views: Sequence[View], most: int = MOST_NAMED) -> str:
     ]
     more = f" and {len(texts) - most} more" if len(texts) > most else ""
     return "; ".join(texts[:most]) + more
-
-
-def _count_different(views: Sequence[View]) -> int:
-    """Count views of which no two show the board at the same place."""
-    different: list[Array] = []
-    for view in views:
-        corners = view.corners
-        if corners is None or view.picture_size is None:
-            continue
-        limit = SAME_VIEW_SHARE * math.hypot(*view.picture_size)
-        if all(_distance(corners, other, limit) > limit for other in different):
-            different.append(corners)
-    return len(different)
-
-
-def _distance(corners: Array, other: Array, limit: float) -> float:
-    """Mean distance of two views' corners, px, whichever end comes first; exact below `limit`."""
-    if len(corners) != len(other):
-        return math.inf  # partial views of different parts
-    apart = float(np.hypot(*(corners.mean(axis=0) - other.mean(axis=0))))
-    if apart > limit:
-        return apart  # a lower bound, and quicker
-    turned = (np.linalg.norm(corners - o, axis=-1).mean() for o in (other, other[::-1]))
-    return float(min(turned))
 
 
 def _board(views: Sequence[View]) -> tuple[int, int]:
