@@ -14,9 +14,11 @@ from calibration.cli.wizard import spread
 from toolkit.cli.main import main
 from toolkit.rig import read_rig
 
-# a session leader that opens a terminal gets it as its own: then Ctrl-C reaches it
+# a session leader that opens a terminal gets it as its own: then Ctrl-C reaches it, unless whoever
+# runs the tests in the background had it ignored
 CHILD = (
-    "import os, sys; os.close(os.open(os.ttyname(0), os.O_RDWR));"
+    "import os, signal, sys; os.close(os.open(os.ttyname(0), os.O_RDWR));"
+    "signal.signal(signal.SIGINT, signal.default_int_handler);"
     "from toolkit.cli.main import main; sys.exit(main(sys.argv[1:]))"
 )
 PATIENCE = 120
