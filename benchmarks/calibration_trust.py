@@ -54,13 +54,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--folder", type=Path, required=True, help="where corners are kept")
     parser.add_argument("--sets", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=0, help="of the first set")
     parser.add_argument("--views", type=int, default=12)
     parser.add_argument("--bend-mm", type=float, default=0.5)
     parser.add_argument("--bootstrap", type=int, default=0)
     words = parser.parse_args()
     rays = {name: pixel_rays(camera) for name, camera in LENSES.items()}
     outcomes: list[Outcome] = []
-    for seed in range(words.sets):
+    for seed in range(words.seed, words.seed + words.sets):
         found = load_set(
             seed, rays, views=words.views, sag=words.bend_mm / 1000, folder=words.folder
         )
