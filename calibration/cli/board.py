@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from toolkit.cli.terminal import check_ending, check_outputs
 from toolkit.errors import ConfigError
 
 SCHEMA = "toolkit.board/1"
@@ -40,10 +41,8 @@ def board(
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Write a calibration board as a PDF at true scale, with a ruler to check the print."""
-    if out.suffix.lower() != ".pdf":
-        raise ConfigError(f"--out is {out}; its name must end in .pdf")
-    if not out.absolute().parent.is_dir():
-        raise ConfigError(f"--out {out}: its folder does not exist; create it or choose another")
+    check_ending("--out", out, ".pdf")
+    check_outputs({"--out": out}, [])
     from calibration.board import Board, BoardRequest
     from calibration.board_page import command, write_board
     from calibration.cli.calibrate import parse_board

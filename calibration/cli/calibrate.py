@@ -1,18 +1,16 @@
 """`toolkit calibrate`: photos of a board in, camera.toml out."""
 
 import re
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from toolkit.cli.terminal import check_ending, check_outputs, expand, printable, progress
 from toolkit.errors import CalibrationError, ConfigError, ToolkitError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from calibration.corners import BoardSearch, View
     from calibration.intrinsics import Calibration
     from toolkit.response import Response
@@ -66,10 +64,10 @@ def calibrate(
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Calibrate a camera from photos of a checkerboard or a ChArUco board."""
-    paths = expand([*(images or []), *(more or [])])
+    paths = photos_named([*(images or []), *(more or [])])
     size = parse_board(board)
-    _check_out(out, paths)
-    curve = _check_report(report, response, [out, *paths])
+    check_outputs({"--out": out, "--report": report}, paths)
+    curve = _curve_of(report, response)
     from calibration.board import BoardRequest
     from calibration.corners import search_boards
     from calibration.intrinsics import calibrate_views, check_request, write_calibration
@@ -78,7 +76,7 @@ def calibrate(
     request = BoardRequest(
         kind=kind, size=size, square_m=square, marker_m=marker, dictionary=dictionary
     )
-    with _progress(len(paths)) as on_photo:
+    with progress("reading photos", len(paths)) as on_photo:
         found = search_boards(paths, board=request, on_photo=on_photo)
     try:
         result = calibrate_views(
@@ -94,57 +92,30 @@ def calibrate(
         write_report(report, result, square=square, response=curve)
     typer.echo((_json_text if json else _text)(found, result, out, square))
     if report is not None and not json:
-        typer.echo(f"wrote {_printable(str(report))}, to look at in a browser")
+        typer.echo(f"wrote {printable(str(report))}, to look at in a browser")
 
 
-def _check_out(out: Path, photos: Sequence[Path]) -> None:
-    if not out.absolute().parent.is_dir():
-        raise ConfigError(f"--out {out}: its folder does not exist; create it or choose another")
-    if out.resolve() in {photo.resolve() for photo in photos}:
-        raise ConfigError(f"--out {out} is one of the photos; choose another name")
-
-
-def _check_report(
-    report: Path | None, response: str | None, taken: Sequence[Path]
-) -> "Response | None":
-    """See that the page can be written, before the work; give the response it is to show."""
-    if response is not None and report is None:
-        raise ConfigError("--response is drawn on the report's page; add --report F.html")
-    if report is None:
-        return None
-    if report.suffix.lower() not in (".html", ".htm"):
-        raise ConfigError(f"--report is {report}; its name must end in .html")
-    if not report.absolute().parent.is_dir():
-        raise ConfigError(f"--report {report}: its folder does not exist; create it")
-    if report.resolve() in {path.resolve() for path in taken}:
-        raise ConfigError(f"--report {report} is a photo or the camera; choose another name")
-    if response is None:
-        return None
-    from toolkit.response import load_response
-
-    return load_response(response)
-
-
-def expand(words: Sequence[str]) -> list[Path]:
-    """Give the photos that words name; a word that is no file but a pattern stands for its matches.
+def photos_named(words: Sequence[str]) -> list[Path]:
+    """Give the photos that words name.
 
     Raises:
         ConfigError: when there is no word, or a pattern matches nothing.
     """
-    from glob import glob, has_magic
-
     if not words:
         raise ConfigError("no photos were given; use --images chess/*.jpg")
-    paths: list[Path] = []
-    for word in words:
-        if Path(word).exists() or not has_magic(word):
-            paths.append(Path(word))
-            continue
-        matches = sorted(glob(word, recursive=True))
-        if not matches:
-            raise ConfigError(f"--images {word}: no file matches; check the folder and the ending")
-        paths += map(Path, matches)
-    return paths
+    return expand("--images", words)
+
+
+def _curve_of(report: Path | None, response: str | None) -> "Response | None":
+    """Give the response that the page is to show, before the work."""
+    check_ending("--report", report, ".html", ".htm")
+    if response is None:
+        return None
+    if report is None:
+        raise ConfigError("--response is drawn on the report's page; add --report F.html")
+    from toolkit.response import load_response
+
+    return load_response(response)
 
 
 def parse_board(text: str | None) -> tuple[int, int] | None:
@@ -160,23 +131,6 @@ def parse_board(text: str | None) -> tuple[int, int] | None:
         raise ConfigError(f"--board '{text}' is no size; count inner corners, as in 9x6, 3x3 least")
     columns, rows = map(int, match.groups())
     return columns, rows
-
-
-@contextmanager
-def _progress(count: int) -> Iterator["Callable[[Path], None]"]:
-    """Show a bar on stderr while photos are read, on a terminal that was not asked to be quiet."""
-    import logging
-    import sys
-
-    from rich.console import Console
-    from rich.progress import Progress
-
-    is_silent = not (
-        sys.stderr.isatty() and logging.getLogger("toolkit").isEnabledFor(logging.INFO)
-    )
-    with Progress(console=Console(stderr=True), transient=True, disable=is_silent) as bar:
-        task = bar.add_task("reading photos", total=count)
-        yield lambda path: bar.advance(task)
 
 
 def _report_failure(found: "BoardSearch", error: ToolkitError, json: bool) -> None:
@@ -200,15 +154,10 @@ def _report_failure(found: "BoardSearch", error: ToolkitError, json: bool) -> No
 
 def _line(view: "View") -> str:
     """Describe a view in one line."""
-    name, reason = _printable(str(view.path)), _printable(view.reason)
+    name, reason = printable(str(view.path)), printable(view.reason)
     if view.is_used:
         return f"{name}: {view.corner_count} corners, {view.rms_px:.2f} px"
     return f"left out: {reason}" if reason.startswith(name) else f"{name}: left out: {reason}"
-
-
-def _printable(text: str) -> str:
-    """Keep control characters and undecodable bytes of file names from the terminal."""
-    return "".join(c if c.isprintable() else "?" for c in text)
 
 
 def _text(found: "BoardSearch", result: "Calibration", out: Path, square: float | None) -> str:
@@ -228,7 +177,7 @@ def _text(found: "BoardSearch", result: "Calibration", out: Path, square: float 
             f" photos used, RMS {result.rms_px:.2f} px",
             f"{numbers} px; {len(camera.distortion)} distortion coefficients",
             *trust_lines(result, square),
-            f"wrote {_printable(str(out))}",
+            f"wrote {printable(str(out))}",
         ]
     )
 

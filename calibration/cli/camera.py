@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from toolkit.cli.lazy import LazyGroup
+from toolkit.cli.terminal import check_outputs, printable
 from toolkit.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ def import_(
     json: Json = False,
 ) -> None:
     """Make a camera.toml of OpenCV's, ROS's, Kalibr's or COLMAP's camera file."""
-    _check_out(file, out)
+    check_outputs({"--out": out}, [file])
     from calibration.formats.convert import import_camera
     from toolkit.camera_file import write_camera
 
@@ -60,7 +61,7 @@ def import_(
     if json:
         _print_json(found.camera, found.format, out, cautions, {"name": found.name})
         return
-    typer.echo(f"{found.format} camera '{_printable(found.name)}': {_describe(found.camera)}")
+    typer.echo(f"{found.format} camera '{printable(found.name)}': {_describe(found.camera)}")
     _finish(cautions, out)
 
 
@@ -77,7 +78,7 @@ def export(
     if format is None or out is None:
         missing = [*([] if format else [f"--format {FORMATS}"]), *([] if out else ["--out FILE"])]
         raise ConfigError(f"the camera cannot be written without {' and '.join(missing)}")
-    _check_out(file, out)
+    check_outputs({"--out": out}, [file])
     from calibration.formats.convert import export_camera
     from toolkit.camera_file import read_camera
 
@@ -88,13 +89,6 @@ def export(
         return
     typer.echo(f"camera for {format}: {_describe(camera)}")
     _finish(cautions, out)
-
-
-def _check_out(file: Path, out: Path) -> None:
-    if not out.absolute().parent.is_dir():
-        raise ConfigError(f"--out {out}: its folder does not exist; create it or choose another")
-    if out.resolve() == file.resolve():
-        raise ConfigError(f"--out {out} is the file to read; choose another name")
 
 
 def _describe(camera: "Camera") -> str:
@@ -108,7 +102,7 @@ def _describe(camera: "Camera") -> str:
 def _finish(cautions: tuple[str, ...], out: Path) -> None:
     for caution in cautions:
         typer.echo(f"caution: {caution}")
-    typer.echo(f"wrote {_printable(str(out))}")
+    typer.echo(f"wrote {printable(str(out))}")
 
 
 def _print_json(
@@ -120,8 +114,3 @@ def _print_json(
     table = {"schema": SCHEMA, "status": "ok", "format": format, "out": str(out), **more}
     table |= {"camera": {name: getattr(camera, name) for name in names}}
     typer.echo(dumps({**table, "cautions": cautions}, allow_nan=False))
-
-
-def _printable(text: str) -> str:
-    """Keep control characters and undecodable bytes of file names from the terminal."""
-    return "".join(c if c.isprintable() else "?" for c in text)

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calibration.cli.calibrate import _check_out, _printable, _progress, expand
+from calibration.cli.calibrate import photos_named
+from toolkit.cli.terminal import check_outputs, printable, progress
 from toolkit.errors import CalibrationError, ConfigError, ToolkitError
 
 if TYPE_CHECKING:
@@ -49,18 +50,18 @@ def response(
     if names:
         typer.echo(_names(json))
         return
-    paths = expand([*(images or []), *(more or [])])
+    paths = photos_named([*(images or []), *(more or [])])
     seconds = parse_times(times)
     if noise:
         _refuse_out_of_place(("--times", times))
         _tell_noise(paths, curve, json)
         return
     _refuse_out_of_place(("--response", curve))
-    _check_out(out, paths)
+    check_outputs({"--out": out}, paths)
     from calibration.response_curve import measure_response
 
     try:
-        with _progress(len(paths)) as on_photo:
+        with progress("reading photos", len(paths)) as on_photo:
             result = measure_response(paths, seconds, on_photo=on_photo)
     except ToolkitError as error:
         _report_refusal(error, json)
@@ -137,7 +138,7 @@ def _known(numbers: Sequence[float]) -> list[float]:
 
 def _text(result: "MeasuredResponse", out: Path) -> str:
     bracket = result.bracket
-    lines = [f"warning: {_printable(caution.message)}" for caution in result.warnings]
+    lines = [f"warning: {printable(caution.message)}" for caution in result.warnings]
     lines += [
         f"{len(bracket.paths)} photos from {bracket.times[0]:.4g} to {bracket.times[-1]:.4g} s"
     ]
@@ -156,7 +157,7 @@ def _text(result: "MeasuredResponse", out: Path) -> str:
         )
     if result.is_linear:
         return "\n".join([*lines, "these RAW photos need no response file; none was written"])
-    return "\n".join([*lines, f"wrote {_printable(str(out))}"])
+    return "\n".join([*lines, f"wrote {printable(str(out))}"])
 
 
 def _json_text(result: "MeasuredResponse", out: Path) -> str:
@@ -199,7 +200,7 @@ def _tell_noise(paths: Sequence[Path], curve: str | None, json: bool) -> None:
     from calibration.noise_model import measure_noise
 
     try:
-        with _progress(len(paths)) as on_photo:
+        with progress("reading photos", len(paths)) as on_photo:
             result = measure_noise(paths, response=curve, on_photo=on_photo)
     except ToolkitError as error:
         _report_refusal(error, json)
@@ -208,7 +209,7 @@ def _tell_noise(paths: Sequence[Path], curve: str | None, json: bool) -> None:
 
 
 def _noise_text(result: "MeasuredNoise") -> str:
-    lines = [f"warning: {_printable(caution.message)}" for caution in result.warnings]
+    lines = [f"warning: {printable(caution.message)}" for caution in result.warnings]
     lines.append(
         f"{result.photos} photos, light from {result.range[0]:.4f} to {result.range[1]:.4f} of "
         "white; variance = read^2 + gain * light"

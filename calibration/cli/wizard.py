@@ -1,13 +1,13 @@
 """Lead from photos of a board to a rig with which `toolkit measure SHOT` alone is enough."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperCommand
 
+from toolkit.cli.terminal import is_quiet, printable, progress
 from toolkit.errors import CalibrationError, ConfigError, ToolkitError
 
 if TYPE_CHECKING:
@@ -183,8 +183,6 @@ def wizard(
     if json:
         typer.echo(_json_text(desk, outcomes))
     else:
-        from calibration.wizard.questions import printable
-
         where = "this folder" if folder == Path() else printable(str(folder))
         typer.echo(f"next: toolkit measure SHOT, for a shot in {where}")
 
@@ -235,7 +233,7 @@ def _desk(
         folder=folder,
         asker=asker,
         memory=memory,
-        progress=_progress,
+        progress=progress,
         tell=_teller(json),
     )
 
@@ -249,19 +247,16 @@ def _is_terminal() -> bool:
 
 def _teller(json: bool) -> "Callable[[str], None]":
     """Show headings and advice to a person; nobody else needs them."""
-    if not _is_terminal() or _is_quiet():
+    if not _is_terminal() or is_quiet():
         return lambda text: None
-    from calibration.wizard.questions import printable
 
     return lambda text: typer.echo(printable(text), err=json)
 
 
 def _shower(json: bool) -> "Callable[[Step, Outcome], None]":
     """Show how a step ended; with --json on stderr, and only to a person."""
-    if json and (not _is_terminal() or _is_quiet()):
+    if json and (not _is_terminal() or is_quiet()):
         return lambda step, outcome: None
-
-    from calibration.wizard.questions import printable
 
     def show(step: "Step", outcome: "Outcome") -> None:
         note = "  (done before, unchanged)" if outcome.status == "kept" else ""
@@ -274,28 +269,7 @@ def _shower(json: bool) -> "Callable[[Step, Outcome], None]":
     return show
 
 
-def _is_quiet() -> bool:
-    import logging
-
-    return not logging.getLogger("toolkit").isEnabledFor(logging.INFO)
-
-
-@contextmanager
-def _progress(text: str, count: int) -> Iterator["Callable[[Path], None]"]:
-    """Show a bar on stderr, on a terminal that was not asked to be quiet."""
-    import sys
-
-    from rich.console import Console
-    from rich.progress import Progress
-
-    is_silent = not sys.stderr.isatty() or _is_quiet()
-    with Progress(console=Console(stderr=True), transient=True, disable=is_silent) as bar:
-        task = bar.add_task(text, total=count)
-        yield lambda path: bar.advance(task)
-
-
 def _tell_how_to_go_on(desk: "Desk") -> None:
-    from calibration.wizard.questions import printable
 
     done = ", ".join(desk.memory.steps) or "nothing yet"
     where = "" if desk.folder == Path() else f" --folder {desk.folder}"

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
 from calibration.wizard.memory import seen_from
+from toolkit.cli.terminal import printable
 from toolkit.errors import ConfigError
 
 T = TypeVar("T")
@@ -151,11 +152,6 @@ def _converse(person: Person, question: Question[T], default: Words | None) -> t
             return question.parse(words), words
         except ConfigError as error:
             person.tell(f"! {error}")
-
-
-def printable(text: str) -> str:
-    """Keep control characters and undecodable bytes of file names from the terminal."""
-    return "".join(c if c.isprintable() else "?" for c in text)
 
 
 def _read(question: Question[T], words: Words) -> T:

@@ -1,17 +1,15 @@
 """toolkit ball: sharp pictures of a ball in, ball.toml out."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from toolkit.cli.terminal import check_ending, check_outputs, expand, printable, progress
 from toolkit.errors import CalibrationError, ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from toolkit.ball import Disc
     from toolkit.ball_colours import BallColours
     from toolkit.learn_ball import LearntBall, Picture
@@ -77,7 +75,8 @@ def ball(
     pictures, empty = _required(image, background, more)
     curve = Path(response) if response is not None and Path(response).is_file() else None
     inputs = [*pictures, *empty, *(path for path in (curve, camera) if path)]
-    _check_outputs(out, overlay, inputs)
+    check_ending("--overlay", overlay, ".png")
+    check_outputs({"--out": out, "--overlay": overlay}, inputs)
 
     from toolkit.ball_file import write_ball
     from toolkit.learn_ball import Told, learn_ball
@@ -89,7 +88,7 @@ def ball(
         distance_std=distance_std,
     )
     try:
-        with _progress(len(pictures)) as on_picture:
+        with progress("looking at pictures", len(pictures)) as on_picture:
             learnt = learn_ball(
                 pictures,
                 empty,
@@ -111,8 +110,8 @@ def ball(
         _print_json(_plain(learnt, out))
         return
     for line in _lines(learnt):
-        typer.echo(_printable(line))
-    typer.echo(f"wrote {_printable(str(out))}")
+        typer.echo(printable(line))
+    typer.echo(f"wrote {printable(str(out))}")
 
 
 def _required(
@@ -129,60 +128,7 @@ def _required(
             *([] if background else ["the same view without the ball: --background F"]),
         ]
         raise ConfigError(f"the ball cannot be learnt without {'; and '.join(missing)}")
-    return _expanded("--image", image), _expanded("--background", background)
-
-
-def _expanded(flag: str, words: Sequence[str]) -> list[Path]:
-    """Give the files that words name; a word that is no file but a pattern stands for its matches.
-
-    Raises:
-        ConfigError: when a pattern matches nothing.
-    """
-    from glob import glob, has_magic
-
-    paths: list[Path] = []
-    for word in words:
-        is_pattern = has_magic(word) and not Path(word).exists()
-        matches = sorted(glob(word)) if is_pattern else [word]
-        if not matches:
-            raise ConfigError(f"{flag} {word}: no file matches; check the folder and the ending")
-        paths += map(Path, matches)
-    return paths
-
-
-def _check_outputs(out: Path, overlay: Path | None, inputs: Sequence[Path]) -> None:
-    """Refuse results that would replace an input or each other, or a format that is not drawn."""
-    if overlay is not None and overlay.suffix.lower() != ".png":
-        raise ConfigError(f"--overlay is {overlay}; its name must end in .png")
-    taken = {path.resolve() for path in inputs}
-    for flag, path in (("--out", out), ("--overlay", overlay)):
-        if path is None:
-            continue
-        if path.resolve() in taken:
-            raise ConfigError(f"{flag} is {path}, an input; choose another name")
-        if not path.absolute().parent.is_dir():
-            raise ConfigError(f"{flag} is {path}, but there is no folder {path.parent}; make it")
-        taken.add(path.resolve())
-
-
-@contextmanager
-def _progress(count: int) -> Iterator["Callable[[Path], None] | None"]:
-    """Show a bar on stderr while several pictures are read, on a terminal not asked to be quiet."""
-    import logging
-    import sys
-
-    is_silent = not (
-        sys.stderr.isatty() and logging.getLogger("toolkit").isEnabledFor(logging.INFO)
-    )
-    if is_silent or count == 1:
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("looking at pictures", total=count)
-        yield lambda path: bar.advance(task)
+    return expand("--image", image), expand("--background", background)
 
 
 def _lines(learnt: "LearntBall") -> list[str]:
@@ -347,8 +293,3 @@ def _print_json(table: dict[str, Any]) -> None:
 
 def _text(values: Sequence[float]) -> str:
     return ",".join(f"{value:.4f}" for value in values)
-
-
-def _printable(text: str) -> str:
-    """Keep control characters and undecodable bytes of file names from the terminal."""
-    return "".join(c if c.isprintable() else "?" for c in text)

@@ -1,12 +1,12 @@
 """toolkit measure: one shot in, one measurement out."""
 
-from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from toolkit.errors import BadOutputError, CalibrationError, ConfigError, StreakError
+from toolkit.cli.terminal import check_ending, check_outputs
+from toolkit.errors import BadOutputError, CalibrationError, StreakError
 from toolkit.option_text import parse_colours, parse_option, parse_settings
 
 if TYPE_CHECKING:
@@ -99,7 +99,8 @@ def measure(
     What is said here beats the rig, and the rig beats what the shot's file tells. Without an
     exposure time position and direction are measured, but no speed.
     """
-    _check_outputs(out, overlay, inputs=[shot])
+    check_ending("--overlay", overlay, ".png")
+    check_outputs({"--out": out, "--overlay": overlay}, [shot])
     options = parse_settings(set_ or [])
     colours = parse_colours(ball_colour or [])
     corner_and_size = _roi(roi)
@@ -132,7 +133,7 @@ def measure(
         # no file yet: which ones were read, and must not be replaced, is not known
         _hand_out(Measurement.refused(str(error)), None, json)
         raise
-    _check_outputs(out, overlay, inputs=loaded.files)
+    check_outputs({"--out": out, "--overlay": overlay}, loaded.files)
     try:
         measurement = measure_shot(loaded)
     except (StreakError, BadOutputError) as error:
@@ -153,22 +154,6 @@ def _hand_out(measurement: "Measurement", out: Path | None, json: bool) -> None:
         write_text(out, text + "\n")
     if json:
         typer.echo(text)
-
-
-def _check_outputs(out: Path | None, overlay: Path | None, inputs: Iterable[Path]) -> None:
-    """Refuse results that would replace an input or each other, or a format that is not drawn."""
-    if overlay is not None and overlay.suffix.lower() != ".png":
-        raise ConfigError(f"--overlay is {overlay}; its name must end in .png")
-    taken = {path.resolve() for path in inputs}
-    for flag, path in (("--out", out), ("--overlay", overlay)):
-        if path is None:
-            continue
-        if path.resolve() in taken:
-            raise ConfigError(f"{flag} is {path}, an input; choose another name")
-        if not path.parent.is_dir():
-            raise ConfigError(f"{flag} is {path}, but there is no folder {path.parent}; make it")
-    if out is not None and overlay is not None and out.resolve() == overlay.resolve():
-        raise ConfigError(f"--out and --overlay are both {out}; choose two names")
 
 
 def _roi(text: str | None) -> tuple[int, int, int, int] | None:

@@ -30,7 +30,7 @@ def test_every_option_works(tmp_path, capsys):
     ("words", "code", "message"),
     [
         (["--out", "b.png"], 2, "--out is b.png; its name must end in .pdf"),
-        (["--out", "gone/b.pdf"], 2, "its folder does not exist"),
+        (["--out", "gone/b.pdf"], 2, "there is no folder gone; make it"),
         (["--square", "0.04"], 2, "does not fit a4"),
         (["--marker", "0.01"], 2, "--marker and --dictionary belong to --kind charuco"),
         (["--size", "9by6"], 2, "'9by6' is no size"),

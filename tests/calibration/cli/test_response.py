@@ -87,7 +87,7 @@ def test_failures_say_why_and_leave_the_old_file(photos, out, capsys, count, tim
 
 def test_a_photo_is_not_overwritten(photos, capsys):
     assert run(photos[0], "--images", *photos, "--times", TIMES) == 2
-    assert "is one of the photos" in capsys.readouterr().err
+    assert "an input; choose another name" in capsys.readouterr().err
 
 
 def test_names_are_listed(capsys):

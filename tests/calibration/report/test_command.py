@@ -52,8 +52,8 @@ def test_json_carries_what_the_page_shows(run, capsys):
     ("words", "message"),
     [
         (["--report", "page.pdf"], "its name must end in .html"),
-        (["--report", "gone/page.html"], "its folder does not exist"),
-        (["--report", "c.html", "--out", "c.html"], "is a photo or the camera"),
+        (["--report", "gone/page.html"], "there is no folder gone; make it"),
+        (["--report", "c.html", "--out", "c.html"], "choose another name"),
         (["--response", "srgb"], "add --report F.html"),
         (["--report", "page.html", "--response", "srgbb"], "did you mean"),
     ],

@@ -149,7 +149,7 @@ def test_missing_inputs_are_one_line_and_2(folder, capsys):
         (["--ball-colour", "red"], 2, "--ball-colour is 'red'; 3 values"),
         (["--overlay", "o.jpg"], 2, "must end in .png"),
         (["--overlay", "no/o.png"], 2, "there is no folder no; make it"),
-        (["--overlay", "o.png", "--out", "./o.png"], 2, "both o.png; choose two names"),
+        (["--overlay", "o.png", "--out", "./o.png"], 2, "as --out is; choose another name"),
         (["--ball-colour", "0.1,0.2,0.3"], 2, "2 ball colours are given, but estimator 'uniform'"),
         (["--ball-colour", "0.1,0.2"], 2, "--ball-colour is '0.1,0.2'; 3 values"),
         (["--radius", "0"], 2, "the ball's radius is 0 m; a number from 1e-06 to 10000 m"),
