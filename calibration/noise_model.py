@@ -1,5 +1,6 @@
 """A camera's read noise and gain from photos that differ in nothing but noise."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -19,6 +20,11 @@ Array = NDArray[np.float64]
 SAME_TIME = 0.01
 """Share by which the times of photos may differ that count as repeated."""
 BOOTSTRAPS = 16
+BLOCK, MOVED, MOST_MOVED = 8, 8.0, 0.02
+"""Side of the squares whose means are compared, px; standard deviations of a mean beyond which a
+square has changed, and the share of such squares that is borne."""
+QUIET = 1e-3
+"""Noise that is always granted, share of white: half a step of 8 bits in the bright."""
 FLICKER = 0.02
 """Share by which the light may change from photo to photo before somebody should know."""
 
@@ -124,9 +130,27 @@ def _pairs(
             raise MismatchError(
                 f"{first} and {second} differ in size or kind; use photos of one camera setting"
             )
+        _check_still(one, other, f"{first} and {second}")
         samples.append(sample_pair(one, other))
         names.append(f"{first.name} and {second.name}")
     return samples, names
+
+
+def _check_still(one: LinearImage, other: LinearImage, names: str) -> None:
+    """Raise `MismatchError` where two photos differ by what no noise does: whole blocks alike."""
+    light, change = (value.rgb[0].mean(0).numpy() for value in (one, other))
+    change = light - change * (float(light.sum()) / max(float(change.sum()), 1e-9))
+    rows, columns = (side // BLOCK * BLOCK for side in change.shape)
+    blocks = change[:rows, :columns].reshape(rows // BLOCK, BLOCK, columns // BLOCK, BLOCK)
+    # of neighbouring rows, the scene's own changes are alike
+    noise = np.abs(np.diff(blocks, axis=1)).mean((1, 3)) * math.sqrt(math.pi) / 2
+    mean = np.abs(blocks.mean((1, 3)) - np.median(change))
+    moved = mean > MOVED * (noise + QUIET) / BLOCK
+    if moved.mean() > MOST_MOVED:
+        raise MismatchError(
+            f"{names} differ by more than noise in {moved.mean():.0%} of the picture; take photos "
+            "of a scene in which nothing moves, from a tripod"
+        )
 
 
 def _exposure(image: LinearImage) -> float | None:

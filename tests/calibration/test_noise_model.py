@@ -60,3 +60,15 @@ def test_what_cannot_tell_noise_is_refused(raws, tmp_path):
     )
     with pytest.raises(MismatchError, match=r"flat0\.dng and .*wide\.dng differ in size or kind"):
         measure_noise([*small, tmp_path / "wide.dng"])
+
+
+def test_photos_between_which_something_moved_are_refused(raws):
+    first, second = raws((0.1, 0.1))
+    rng = np.random.default_rng(5)
+    light = np.linspace(0.1, 8, 240) * np.ones((240, 1)) * 0.1
+    light[60:120, 60:120] *= 0.7  # 6 % of the picture
+    noisy = light + rng.normal(size=light.shape) * np.sqrt(READ**2 + GAIN * light)
+    stored = np.clip(np.rint(256 + noisy * (WHITE - 256)), 0, WHITE).astype(np.uint16)
+    write_dng(second, stored, black=256, white=WHITE, exposure_s=0.1)
+    with pytest.raises(MismatchError, match="differ by more than noise in"):
+        measure_noise([first, second])
