@@ -30,6 +30,7 @@ import numpy as np
 import torch
 
 from toolkit import CalibrationError
+from toolkit.ball import Disc
 from toolkit.ball_size import SizeInView, find_radius, size_in_view
 from toolkit.camera import Camera
 from toolkit.disc import view_ball
@@ -77,16 +78,16 @@ def covariance(camera: Camera) -> torch.Tensor:
 
 def picture(
     look: Look | None, generator: np.random.Generator, count: int
-) -> tuple[Scene, list[tuple[object, float]]]:
+) -> tuple[Scene, list[tuple[Disc, float]]]:
     """Render sharp views of one ball, with their distances; those refused are drawn anew."""
     seed = int(generator.integers(1 << 30))
     radius_px = generator.uniform(30, 60)
     scene = benchmark_scene(
         width_px=2 * radius_px, length_widths=1, distance_R=12, size=(400, 380), seed=seed
     )
-    colour = scene.appearance.colour  # type: ignore[attr-defined]
+    colour = scene.appearance.colour
     empty = render_shot(scene, seed=seed, step=3.0, supersampling=1).background
-    views: list[tuple[object, float]] = []
+    views: list[tuple[Disc, float]] = []
     while len(views) < count:
         if look is not None:
             scene = replace(scene, appearance=look(colour, generator))
@@ -113,7 +114,7 @@ def one_set(
         camera, fx=camera.fx * focal, fy=camera.fy * focal, cx=camera.cx + x, cy=camera.cy + y
     )
     error = 1 + DISTANCE_STD * generator.standard_normal()
-    sizes = [size_in_view(disc, erring) for disc, _ in views]  # type: ignore[arg-type]
+    sizes = [size_in_view(disc, erring) for disc, _ in views]
     return sizes, [error * away for _, away in views], erring, scene.ball_radius
 
 

@@ -28,10 +28,10 @@ def number(value: object, what: str) -> float:
     Raises:
         ConfigError: naming `what`, where it is none.
     """
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not is_number or not math.isfinite(value):  # type: ignore[arg-type]
+    # to Python a yes or no is an int, too
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise ConfigError(f"{what} is {value!r:.40}; a finite number is needed")
-    return float(value)  # type: ignore[arg-type]
+    return float(value)
 
 
 def numbers(values: object, what: str, count: int | None = None) -> list[float]:

@@ -24,7 +24,7 @@ class Lamp(AlphaEstimator):
     """Its light is (offset + 2) (3 + place on the chord), with the ray's part to the right."""
 
     def observe(self, image, background, noise):
-        raise NotImplementedError
+        raise NotImplementedError  # no picture is looked at here
 
     def foreground(self, chord, appearance):
         middle = (torch.as_tensor(chord.start) + torch.as_tensor(chord.stop)) / 2
