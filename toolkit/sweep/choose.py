@@ -34,6 +34,8 @@ FINE, COARSE = 12.0, 7.0
 """Squares to the half width: where the path is chosen, and where a rough start is bettered."""
 LARGEST_SQUARE = 6
 """px, where the path is chosen."""
+INNER, LARGEST_INNER = 8.0, 12
+"""Squares to the half width far inside the streak in the end, and px of the largest of them."""
 STRAY = 0.35
 """Half widths by which a richer path may leave the one that some profiles told at first."""
 MISFIT = 1.5
@@ -104,9 +106,18 @@ def most_likely_motion(frame: Frame, model: SweepModel, start: Start) -> SweepFi
         if _gain(fit, trial) < EVIDENCE * (trial.model.path.size - fit.model.path.size):
             break
         fit = trial
-    if fine > 1:
-        fit = fit_sweep(fit.model, fit.parameters, frame, doubt=1.0)
-    return fit
+    if fine == 1:
+        return fit
+    inner = min(LARGEST_INNER, int(half_width / INNER))
+    contrast = _contrast(fit)
+    return fit_sweep(fit.model, fit.parameters, frame, doubt=1.0, inner=inner, contrast=contrast)
+
+
+def _contrast(fit: SweepFit) -> float:
+    """Give how much ball and ground differ behind the streak: root mean square, light."""
+    covered = fit.seen.coverage.alpha > 0
+    ball = fit.model.colours(fit.parameters, fit.pixels, fit.seen.coverage).colour
+    return float((ball - fit.pixels.ground)[:, covered].square().sum(0).mean().sqrt())
 
 
 def strays(fit: SweepFit, start: Start) -> float:

@@ -89,7 +89,7 @@ class Sight:
     passage: Passage
     arcs: Arcs
     exposure: tuple[Tensor, Tensor]  # of each, from and to [M]
-    spread: float  # variance of lens and pixel, px^2
+    spread: Tensor  # [M] variance of lens and pixel, px^2
     blur: Tensor  # [M] standard deviation of the passage's room by that, m^2
     camera: Camera
     ball_radius: float
@@ -135,7 +135,7 @@ class Sight:
         gap = (1 - room[near] / radius**2).clamp_min(0).sqrt()
         by_offset[near] = 2 * radius * gap * rise * steep
         widening = self.blur[near] * (ramp / root / 2 - x * rise) / radius
-        by_spread[near] = -side[near] * widening * steep / (2 * self.spread)
+        by_spread[near] = -side[near] * widening * steep / (2 * self.spread[near])
         return side * torch.atan2(distance, height), by_offset, by_spread
 
 

@@ -65,6 +65,8 @@ def fit_sweep(
     *,
     side: int = 1,
     doubt: float = 0.0,
+    inner: int = 1,
+    contrast: float = 0.0,
     most_steps: int | None = None,
 ) -> SweepFit:
     """Find the most likely parameters, all pixels compared or squares of them.
@@ -75,11 +77,15 @@ def fit_sweep(
         frame: the window about the streak.
         side: of the squares, px.
         doubt: px by which the start may be off.
+        inner: side of the squares far inside the streak, where single pixels are compared, px.
+        contrast: of ball and ground, light.
         most_steps: after which the search gives up.
     """
     path_px, half_width = outline(model, start)
     side = max(side, _least_side(path_px, half_width))
-    pixels = frame.about(path_px, half_width, side=side, doubt=doubt)
+    pixels = frame.about(
+        path_px, half_width, side=side, doubt=doubt, inner=max(inner, side), contrast=contrast
+    )
     # how the lens mixes rim and ground hangs so little on the path that the start tells it
     covered = model.opacity(start, pixels)
     slope = model.opacity_slope(start, pixels, covered)

@@ -51,19 +51,18 @@ class Linearity:
         return max(self.known, abs(self.found)) if self.is_doubted else self.known
 
 
-def judge_linearity(view: StreakView, frame: Frame, fit: SweepFit, factor: float) -> Linearity:
+def judge_linearity(view: StreakView, fit: SweepFit, factor: float) -> Linearity:
     """Find the exponent that the streak asks for beside all that was fitted.
 
     Args:
         view: the streak's surroundings.
-        frame: the same as the fit's pixels were taken from.
         fit: the most likely motion.
         factor: by which its misfit exceeds noise.
     """
     known = _known_std(view.shot)
     if fit.model.channels < COLOURS:
         return Linearity(known=known)
-    change = _bend(view, frame, fit)
+    change = _bend(view, fit)
     seen = fit.seen
     shared = seen.answer(change)
     own = float((change * change).sum())
@@ -76,15 +75,14 @@ def judge_linearity(view: StreakView, frame: Frame, fit: SweepFit, factor: float
     return Linearity(known=known, found=pull / own, found_std=math.sqrt(factor / own))
 
 
-def _bend(view: StreakView, frame: Frame, fit: SweepFit) -> Tensor:
+def _bend(view: StreakView, fit: SweepFit) -> Tensor:
     """Give the change of the whitened residual [Q, N] for one more in the light's exponent.
 
     The background is smoothed without each pixel's own light: noise shared with the residual would
     tell of an exponent wherever the noise itself is known a little wrong.
     """
     pixels, alpha = fit.pixels, fit.seen.coverage.alpha
-    column, row = _places(frame, fit)
-    ground = view.smooth_ground[0][:, row, column].double()
+    ground = pixels.mean_of(view.smooth_ground[0])
     ball = fit.model.colours(fit.parameters, pixels, fit.seen.coverage).colour
     both = alpha * ball + (1 - alpha) * ground
     change = _power_slope(both) - alpha * _power_slope(ball) - (1 - alpha) * _power_slope(ground)
@@ -114,20 +112,13 @@ def response_changes(
     if linearity.std > 0 and (doubt is None or linearity.is_doubted):
         exponent = 1 + linearity.std
         pictures.append([_with_exponent(p, exponent) for p in (view.shot, view.background)])
-    column, row = _places(frame, fit)
     rest = 1 - fit.seen.coverage.alpha
     changes = torch.zeros(len(pictures), *fit.pixels.signal.shape, dtype=torch.float64)
     for change, (shot, empty) in zip(changes, pictures, strict=True):
         other = estimator.observe(shot, empty, view.noise)
-        signal, ground = other.signal[0][:, row, column], other.ground[0][:, row, column]
-        change += (signal - fit.pixels.signal) - rest * (ground - fit.pixels.ground)
+        signal, ground = other.signal[0] - frame.signal, other.ground[0] - frame.ground
+        change += fit.pixels.mean_of(signal) - rest * fit.pixels.mean_of(ground)
     return changes
-
-
-def _places(frame: Frame, fit: SweepFit) -> tuple[Tensor, Tensor]:
-    """Column and row of each pixel in the window."""
-    column, row = (fit.pixels.place - torch.tensor(frame.corner)).long().mT
-    return column, row
 
 
 def _known_std(shot: LinearImage) -> float:

@@ -23,7 +23,7 @@ from toolkit.sweep.colours import (
     plain_colours,
     seen_colours,
 )
-from toolkit.sweep.opacity import PIXEL_VARIANCE, ArcOpacity
+from toolkit.sweep.opacity import ArcOpacity
 from toolkit.sweep.passage import Passage
 from toolkit.sweep.paths import SweepPath
 from toolkit.sweep.pixels import StreakPixels
@@ -78,19 +78,15 @@ class SweepModel:
         delay = self.row_delay * (pixels.place[:, 1] - self.middle_row)
         return delay - 0.5, delay + 0.5
 
-    def _wide(self, x: Tensor, pixels: StreakPixels) -> float:
-        """Give the variance by which pixels spread: squares of them blur by their own area."""
-        return float(x[self.path.size]) + pixels.area_variance - PIXEL_VARIANCE
-
     def opacity(self, x: Tensor, pixels: StreakPixels) -> "Coverage":
         """Give the opacity of all pixels and its derivatives in the path and the spread."""
         arcs = self.path.arcs(self.split(x)[0])
         start, stop = self.exposure_of(pixels)
-        wide = self._wide(x, pixels)
+        spread = float(x[self.path.size])
         parts: list[tuple[ArcOpacity, Tensor, int]] = []
         for number, (low, high) in enumerate(arcs.limits(start, stop)):
             arc, J_arc = arcs.coefficients[number], arcs.J[number]
-            for part, J in opacity_parts(arc, pixels.rays, low, high, wide, self.ball_radius):
+            for part, J in opacity_parts(arc, pixels.rays, low, high, spread, self.ball_radius):
                 parts.append((part, J_arc if J is None else J @ J_arc, number))
         if len(parts) == 1 and len(parts[0][0].alpha) == len(pixels):
             part, J_arc, _ = parts[0]
@@ -113,7 +109,7 @@ class SweepModel:
             passage=covered.passage,
             arcs=self.path.arcs(shape),
             exposure=self.exposure_of(pixels),
-            spread=self._wide(x, pixels),
+            spread=float(x[self.path.size]) + pixels.rays.blur,
             blur=self._rim_blur(x, pixels, covered),
             camera=self.camera,
             ball_radius=self.ball_radius,
@@ -128,7 +124,7 @@ class SweepModel:
         centre = c0 + t * (c1 + t * c2)
         near = 2 * (centre * rays.unit).sum(0)
         right, down = (near * (centre * side).sum(0) for side in (rays.right, rays.down))
-        variance = self._wide(x, pixels)
+        variance = float(x[self.path.size]) + rays.blur
         size = (rays.right**2 + rays.down**2).sum(0).mean() / 2
         bend = variance * (centre * centre).sum(0) * size
         room: Tensor = (variance * (right**2 + down**2) + 2 * bend**2).sqrt()

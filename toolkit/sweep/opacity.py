@@ -15,7 +15,8 @@ import torch
 from torch import Tensor
 
 from toolkit.sweep.crossing import Crossing, Slopes, Spread, mean_opacity
-from toolkit.sweep.passage import Passage, Rays, find_passage
+from toolkit.sweep.passage import Passage, find_passage
+from toolkit.sweep.rays import Rays
 from toolkit.sweep.slow import count_instants, slow_opacity
 
 PIXEL_VARIANCE = 1 / 12
@@ -47,7 +48,7 @@ def arc_opacity(
         rays: N of them.
         start: when each ray's part of the arc begins, exposures [N].
         stop: when it ends [N].
-        spread: variance of lens and pixel together, px^2.
+        spread: variance of lens and single pixel together, px^2.
         ball_radius: m.
     """
     angle = float(torch.linalg.vector_norm(rays.right[:, 0]))
@@ -55,16 +56,16 @@ def arc_opacity(
     instants = count_instants(arc, first, last, spread**0.5 * angle, ball_radius)
     if instants:
         passage = find_passage(arc, rays, start, stop, spread, ball_radius, is_all=True)[0]
-        axes = (rays.unit, rays.right, rays.down)
-        alpha, J_arc, J_spread = slow_opacity(arc, axes, start, stop, spread, ball_radius, instants)
+        alpha, J_arc, J_spread = slow_opacity(arc, rays, start, stop, spread, ball_radius, instants)
         return ArcOpacity(passage=passage, alpha=alpha, J_arc=J_arc, J_spread=J_spread)
     near, seen, start, stop = find_passage(arc, rays, start, stop, spread, ball_radius)
     view = _View.of(arc, seen, near, ball_radius)
-    over = view.spread(spread)
+    variance = spread + seen.blur
+    over = view.spread(variance)
     crossing = Crossing(
         instant=view.t,
         room=near.room,
-        bend=spread * view.bend / over.q,
+        bend=variance * view.bend / over.q,
         A=view.A,
         lean=view.lean,
         swell=view.swell,
@@ -73,11 +74,11 @@ def arc_opacity(
     )
     alpha, by = mean_opacity(crossing, over)
     J_spread = (
-        by.q_spread * over.q / (2 * spread)
-        + (by.t_spread * over.t + by.joint * over.joint) / spread
+        by.q_spread * over.q / (2 * variance)
+        + (by.t_spread * over.t + by.joint * over.joint) / variance
         + by.bend * view.bend
     )
-    J_arc = _J_arc(arc, seen, view, over, by, spread)
+    J_arc = _J_arc(arc, seen, view, over, by, variance)
     return ArcOpacity(passage=near, alpha=alpha, J_arc=J_arc, J_spread=J_spread)
 
 
@@ -136,7 +137,7 @@ class _View:
             t_down=(down * s1 + s * down1) / A,
         )
 
-    def spread(self, variance: float) -> Spread:
+    def spread(self, variance: Tensor) -> Spread:
         """Say how lens and pixel spread q and t_m, and, for a ball that comes or goes, A."""
         fan_right, fan_down = -self.s1 * self.right1 / self.A, -self.s1 * self.down1 / self.A
         q = variance * (self.q_right**2 + self.q_down**2) + 2 * (variance * self.bend) ** 2
@@ -150,7 +151,9 @@ class _View:
         )
 
 
-def _J_arc(arc: Tensor, seen: Rays, view: _View, over: Spread, by: Slopes, spread: float) -> Tensor:
+def _J_arc(
+    arc: Tensor, seen: Rays, view: _View, over: Spread, by: Slopes, spread: Tensor
+) -> Tensor:
     """Carry the slopes to the arc's coefficients [9, M].
 
     The spreads change with the arc as the slopes of q and t_m do, and so does how the crossing

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from toolkit.sweep.rays import Rays
+
 REACH = 6.0
 """Standard deviations of the spread beyond the contour up to which a pixel sees the ball."""
 GUESSES = 9
@@ -18,19 +20,6 @@ SLACKEST = 1e-6
 """Share of the squared speed below which the motion does not go across a ray at all."""
 MOSTLY = 0.6
 """Share of the rays from which an arc is followed for all of them."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Rays:
-    """Where N pixels look."""
-
-    unit: Tensor  # [3, N]
-    right: Tensor  # [3, N] change of the ray for one px to the right
-    down: Tensor  # [3, N] the same downwards
-
-    def __getitem__(self, index: Tensor) -> "Rays":
-        """Give those with some indices."""
-        return Rays(unit=self.unit[:, index], right=self.right[:, index], down=self.down[:, index])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +50,7 @@ def find_passage(
         rays: N of them.
         start: when each ray's part of the arc begins, exposures [N].
         stop: when it ends [N].
-        spread: variance of lens and pixel together, px^2.
+        spread: variance of lens and single pixel together, px^2.
         ball_radius: m.
         is_all: keep all of them.
 
@@ -87,7 +76,11 @@ def find_passage(
         f = f0 + t * (f1 + t * (f2 + t * (f3 + t * f4)))
         A = (f2 + t * (3 * f3 + t * 6 * f4)).clamp_min(SLACKEST * float(c[1, 1]))
     # room for the spread: a px is about this long at the ball
-    blur = REACH * spread**0.5 * float(torch.linalg.vector_norm(rays.right[:, 0]))
+    blur = (
+        REACH
+        * (spread + float(rays.blur.max())) ** 0.5
+        * float(torch.linalg.vector_norm(rays.right[:, 0]))
+    )
     middle = float(start.min() + stop.max()) / 2
     slack = blur * float(torch.linalg.vector_norm(arc[0] + middle * (arc[1] + middle * arc[2])))
     half = (((ball_radius + slack) ** 2 - f).clamp_min(0) / A).sqrt()

@@ -10,8 +10,8 @@ from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator
 from toolkit.camera import Camera
-from toolkit.sweep.opacity import PIXEL_VARIANCE
-from toolkit.sweep.passage import Rays
+from toolkit.sweep.rays import Rays, find_rays
+from toolkit.sweep.squares import Squares
 from toolkit.view import StreakView
 
 Array = NDArray[np.float64]
@@ -22,11 +22,12 @@ BESIDE = 1.3
 """Half widths beyond these within which pixels tell of the background's light, and 8 px more."""
 OUTLIER = 3.5
 """Standard deviations beyond which such a pixel's difference counts linearly."""
-COARSE = 16
-"""px between the places whose derivative of the ray is found; between them it is interpolated."""
-LITTLE = 0.03
-"""px by which interpolated rays may miss their pixels for one step to bring them there."""
-MOST_STEPS = 3
+BESIDE_SIDE = 2
+"""px along the side of the squares in which these are summed up, at least."""
+INSET = 2.0
+"""px beyond its side by which a square must lie inside the streak for its pixels to be averaged."""
+EVEN = 0.05
+"""Variance of the ground within such a square over the squared contrast of ball and ground."""
 NOISELESS = 10**9
 """Frames of a background whose noise counts for nothing."""
 
@@ -66,6 +67,7 @@ class Beside:
 class StreakPixels:
     """N pixels, or squares of them, that the ball may cover, with Q signal channels."""
 
+    squares: tuple[Squares, ...]  # of several sizes, N in all, in the window
     place: Tensor  # [N, 2] px in the picture
     rays: Rays
     signal: Tensor  # [Q, N]
@@ -75,17 +77,16 @@ class StreakPixels:
     ground_slope: Tensor  # [2, Q, N] change of the ground to the right and downwards, per px
     beside: Beside
     mixed: Tensor  # [Q, N] what the lens adds where the ball's rim lies before a varying ground
-    side: int = 1  # px of each square
     excess: float = 1.0  # by which the variances exceed the camera's noise
-
-    @property
-    def area_variance(self) -> float:
-        """Variance of a place within a square along its side, px^2."""
-        return PIXEL_VARIANCE * self.side**2
 
     def __len__(self) -> int:
         """Number of pixels."""
         return len(self.place)
+
+    def mean_of(self, image: Tensor) -> Tensor:
+        """Give what each shows in another image of the window [Q, H, W]: [Q, N]."""
+        means = [squares.pick(image).mean(0) for squares in self.squares]
+        return torch.cat(means, dim=-1).double()
 
     def behind_lens(self, opacity_slope: Tensor, spread: float) -> "StreakPixels":
         """Give the same where the lens mixes the ball's rim with the ground beside it.
@@ -97,8 +98,8 @@ class StreakPixels:
             opacity_slope: change of the opacity to the right and downwards [2, N], per px.
             spread: variance of lens and single pixel, px^2.
         """
-        spread = spread + self.area_variance - PIXEL_VARIANCE
-        return replace(self, mixed=-spread * (opacity_slope[:, None] * self.ground_slope).sum(0))
+        joint = (opacity_slope[:, None] * self.ground_slope).sum(0)
+        return replace(self, mixed=-(spread + self.rays.blur) * joint)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,137 +145,112 @@ class Frame:
         )
 
     def about(
-        self, path_px: Tensor, half_width: Tensor | float, *, side: int = 1, doubt: float = 0.0
+        self,
+        path_px: Tensor,
+        half_width: Tensor | float,
+        *,
+        side: int = 1,
+        doubt: float = 0.0,
+        inner: int = 1,
+        contrast: float = 0.0,
     ) -> StreakPixels:
         """Take the pixels about a path in the picture.
+
+        Far inside the streak the opacity changes so evenly that squares of pixels tell as much.
 
         Args:
             path_px: points of the path [T, 2] px.
             half_width: of the ball's image at each of them [T], or at all, px.
             side: of the squares whose pixels are averaged.
             doubt: px by which the path and the half width may be off.
+            inner: side of those far inside the streak, px, where single pixels are taken elsewhere.
+            contrast: of ball and ground, light; where the ground varies nearly as much no square
+                stands for its pixels.
         """
-        height, width = self.usable.shape
-        rows, columns = height // side, width // side
-        corner = np.array(self.corner, dtype=np.float64)
-        middle = (path_px.numpy() - corner + 0.5) / side - 0.5
+        middle = path_px.numpy() - np.array(self.corner, dtype=np.float64)
         size = np.broadcast_to(np.asarray(half_width, dtype=np.float64), len(middle))
-        reach = (size + ROOM + doubt) / side + 1
-        near = _band(middle, reach, rows, columns)
-        ring = _band(middle, reach + (BESIDE * size + 8) / side, rows, columns) - near
-        usable = self.usable[None]
-        maps: tuple[Tensor, ...]
-        maps = (self.signal, self.ground, self.shot_variance, self.ground_variance)
-        if side > 1:
-            maps = _binned(maps, usable, side)
-            usable = torch.isfinite(maps[2]).any(0)[None]
-        inside, beside = (
-            torch.from_numpy(np.flatnonzero(mask & usable[0].numpy())) for mask in (near, ring)
+        reach = size + ROOM + doubt
+        near = self._band(middle, reach, side)
+        groups = []
+        if inner > side:
+            deep = self._deep(middle, size - doubt, inner, contrast)
+            near.reshape(-1)[deep.index().numpy()] = 0
+            groups.append(self._read(deep))
+        groups.insert(0, self._read(self._squares(near, side)))
+        coarse = max(side, BESIDE_SIDE)
+        ring = self._band(middle, reach + BESIDE * size + 8, coarse)
+        ring[self._band(middle, reach, coarse) > 0] = 0
+        place = torch.cat([g.squares.place for g in groups]) + torch.tensor(self.corner)
+        signal, ground, shot, empty = (
+            torch.cat(maps, dim=-1) for maps in zip(*(g.maps for g in groups), strict=True)
         )
-        place = torch.stack([inside % columns, inside // columns], dim=-1).double()
-        place = (place + 0.5) * side - 0.5 + torch.from_numpy(corner)
-        signal, ground, shot, empty = (m.flatten(1)[:, inside].double() for m in maps)
         return StreakPixels(
+            squares=tuple(g.squares for g in groups),
             place=place,
-            rays=find_rays(self.camera, place),
+            rays=find_rays(self.camera, place, torch.cat([g.squares.blur for g in groups])),
             signal=signal,
             ground=ground,
             shot_variance=shot,
             ground_variance=empty,
-            ground_slope=_slopes(maps[1]).flatten(2)[..., inside].double() / side,
+            ground_slope=torch.cat([g.squares.slope(self.ground) for g in groups], dim=-1).double(),
             mixed=torch.zeros_like(signal),
-            beside=Beside.of(*(m.flatten(1)[:, beside].double() for m in maps)),
-            side=side,
+            beside=Beside.of(*self._read(self._squares(ring, coarse)).maps),
             excess=self.excess,
         )
+
+    def _band(self, middle: Array, reach: Array, side: int) -> NDArray[np.uint8]:
+        """Mark all squares of the window within reach [T] of a line [T, 2], px."""
+        height, width = self.usable.shape
+        return _band((middle + 0.5) / side - 0.5, reach / side + 1, height // side, width // side)
+
+    def _squares(self, mask: NDArray[np.uint8], side: int) -> Squares:
+        height, width = self.usable.shape
+        return Squares.of(mask, side, (height, width))
+
+    def _deep(self, middle: Array, size: Array, side: int, contrast: float) -> Squares:
+        """Find the squares far inside the streak, all usable and before an even ground."""
+        squares = self._squares(self._band(middle, size - INSET - 2 * side, side), side)
+        used = squares.pick(self.usable[None] & torch.isfinite(self.shot_variance))
+        varies = squares.pick(self.ground).var(0, correction=0).sum(0)
+        return squares[used.all(0).all(0) & (varies < EVEN * contrast**2)]
+
+    def _read(self, squares: Squares) -> "_Reading":
+        """Average what squares show, each pixel by the precision of what was measured there."""
+        used = squares.pick(self.usable[None])
+        if squares.side == 1:
+            squares = squares[used[0, 0]]
+            maps = (self.signal, self.ground, self.shot_variance, self.ground_variance)
+            return _Reading(squares, tuple(squares.pick(each)[0].double() for each in maps))
+        shot, empty = squares.pick(self.shot_variance), squares.pick(self.ground_variance)
+        total = shot + empty
+        weight = torch.where(used & torch.isfinite(total), 1 / total, 0)
+        norm = weight.sum(0)
+        is_seen = (norm > 0).any(0)
+        weight = weight / norm.clamp_min(1e-30)
+        shot = torch.where(weight > 0, shot, 0)
+        maps = (
+            (squares.pick(self.signal) * weight).sum(0),
+            (squares.pick(self.ground) * weight).sum(0),
+            torch.where(norm > 0, (shot * weight * weight).sum(0), torch.inf),
+            (empty * weight * weight).sum(0),
+        )
+        return _Reading(squares[is_seen], tuple(each[:, is_seen].double() for each in maps))
+
+
+@dataclass(frozen=True, slots=True)
+class _Reading:
+    """What was measured in M squares: signal, ground, and the variances of both [Q, M]."""
+
+    squares: Squares
+    maps: tuple[Tensor, ...]
 
 
 def _band(middle: Array, reach: Array, rows: int, columns: int) -> NDArray[np.uint8]:
     """Mark all within reach [T] of a line [T, 2], its places in squares."""
     mask = np.zeros((rows, columns), np.uint8)
     points = np.round(middle * 8).astype(np.int32)
-    widths = np.maximum(1, np.ceil(2 * np.maximum(reach[:-1], reach[1:]))).astype(np.int32)
+    widths = np.ceil(2 * np.maximum(reach[:-1], reach[1:])).astype(np.int32)
     for first, last, width in zip(points[:-1], points[1:], widths, strict=True):
-        cv2.line(mask, first.tolist(), last.tolist(), 1, thickness=int(width), shift=3)
+        if width > 0:
+            cv2.line(mask, first.tolist(), last.tolist(), 1, thickness=int(width), shift=3)
     return mask
-
-
-def _binned(maps: tuple[Tensor, ...], usable: Tensor, side: int) -> tuple[Tensor, ...]:
-    """Average squares of pixels, each by the precision of what was measured there."""
-    signal, ground, shot, empty = maps
-    total = shot + empty
-    weight = torch.where(usable & torch.isfinite(total), 1 / total, 0)
-    shot = torch.where(weight > 0, shot, 0)
-    count = side**2
-    norm = _block_mean(weight, side) * count
-    safe = norm.clamp_min(1e-30)
-
-    def mean(values: Tensor, power: int = 1) -> Tensor:
-        return _block_mean(values * weight**power, side) * count / safe**power
-
-    return (
-        mean(signal),
-        mean(ground),
-        torch.where(norm > 0, mean(shot, 2), torch.inf),
-        mean(empty, 2),
-    )
-
-
-def _slopes(maps: Tensor) -> Tensor:
-    """Give the change of each map [Q, H, W] to the right and downwards, per element [2, Q, H, W].
-
-    Across the difference three elements are averaged, since noise changes from one to the next.
-    """
-    wide = torch.nn.functional.pad(maps[None], (1, 1, 1, 1), mode="replicate")[0]
-    right = (wide[..., 2:] - wide[..., :-2]) / 2
-    down = (wide[..., 2:, :] - wide[..., :-2, :]) / 2
-    return torch.stack(
-        [
-            (right[:, :-2] + 2 * right[:, 1:-1] + right[:, 2:]) / 4,
-            (down[..., :-2] + 2 * down[..., 1:-1] + down[..., 2:]) / 4,
-        ]
-    )
-
-
-def _block_mean(values: Tensor, side: int) -> Tensor:
-    return torch.nn.functional.avg_pool2d(values[None], side)[0]
-
-
-def find_rays(camera: Camera, place: Tensor) -> Rays:
-    """Give the rays of pixels [N, 2] and how they change from one to the next, distortion inside.
-
-    The derivatives are found on a coarse grid and interpolated; with their help one step, behind a
-    wide lens two, makes the interpolated rays exact to a millionth of a px.
-    """
-    low, high = place.amin(0), place.amax(0) + 1e-9
-    counts = ((high - low) / COARSE).ceil().long() + 1
-    counts = counts.clamp_min(2)
-    x, y = (
-        torch.linspace(float(a), float(b), int(n), dtype=torch.float64)
-        for a, b, n in zip(low, high, counts, strict=True)
-    )
-    grid = torch.stack(torch.meshgrid(x, y, indexing="xy"), dim=-1)
-    rays, J = camera.unproject(grid), camera.J_unproject(grid)
-    fine = _interpolated(torch.cat([rays, J.mT.flatten(-2)], dim=-1), (place - low) / (high - low))
-    unit, right, down = fine.reshape(3, 3, -1)
-    for _ in range(MOST_STEPS):
-        missing = (place - camera.project(unit.mT)).mT
-        unit = unit + missing[0] * right + missing[1] * down
-        unit = unit * (unit * unit).sum(0).rsqrt()
-        if not float(missing.abs().max()) > LITTLE:
-            break
-    return Rays(unit=unit, right=right, down=down)
-
-
-def _interpolated(grid: Tensor, share: Tensor) -> Tensor:
-    """Interpolate a grid [Y, X, C] at places [N, 2] from 0 to 1, bilinearly: [C, N]."""
-    rows, columns, channels = grid.shape
-    at = share.mT * torch.tensor([[columns - 1.0], [rows - 1.0]], dtype=share.dtype)
-    left = at[0].long().clamp_max(columns - 2)
-    top = at[1].long().clamp_max(rows - 2)
-    x, y = at[0] - left, at[1] - top
-    flat = grid.reshape(-1, channels).mT.contiguous()
-    first = top * columns + left
-    upper = torch.lerp(flat[:, first], flat[:, first + 1], x)
-    lower = torch.lerp(flat[:, first + columns], flat[:, first + columns + 1], x)
-    return torch.lerp(upper, lower, y)

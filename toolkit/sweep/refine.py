@@ -97,7 +97,7 @@ def refine(
         )
     misfit = with_coarse_misfit(look_for_misfit(fit), fit)
     _check_explained(fit, misfit, start)
-    linearity = judge_linearity(view, frame, fit, misfit.factor)
+    linearity = judge_linearity(view, fit, misfit.factor)
     uncertainty = sweep_uncertainty(
         fit,
         misfit,

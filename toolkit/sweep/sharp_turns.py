@@ -12,7 +12,8 @@ import torch
 from torch import Tensor
 
 from toolkit.sweep.opacity import ArcOpacity, arc_opacity
-from toolkit.sweep.passage import REACH, Rays
+from toolkit.sweep.passage import REACH
+from toolkit.sweep.rays import Rays
 
 SHARP = 0.7
 """Share of its velocity that a ball may gain while it moves by its width."""
@@ -31,7 +32,7 @@ def opacity_parts(
         rays: N of them.
         start: when each ray's part of the arc begins, exposures [N].
         stop: when it ends [N].
-        spread: variance of lens and pixel together, px^2.
+        spread: variance of lens and single pixel together, px^2.
         ball_radius: m.
 
     Returns:
@@ -76,7 +77,7 @@ def _about(
     distance2 = middle @ middle
     reach = float(torch.linalg.vector_norm(arc[1])) * (late - early) / 2 + ball_radius
     px = float((distance2 * (rays.right * rays.right).sum(0).max()).sqrt())
-    reach += (REACH * spread**0.5 + 1) * px
+    reach += (REACH * (spread + float(rays.blur.max())) ** 0.5 + 1) * px
     is_near: Tensor = distance2 - (middle @ rays.unit) ** 2 < reach**2
     return is_near.nonzero()[:, 0]
 

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from toolkit.sweep.quadrature import gauss_legendre
+from toolkit.sweep.rays import Rays
 from toolkit.sweep.soft import density
 
 SLOW = 5.0
@@ -52,7 +53,7 @@ def count_instants(
 
 def slow_opacity(
     arc: Tensor,
-    rays: tuple[Tensor, Tensor, Tensor],
+    rays: Rays,
     start: Tensor,
     stop: Tensor,
     spread: float,
@@ -63,18 +64,18 @@ def slow_opacity(
 
     Args:
         arc: c0, c1, c2 [3, 3].
-        rays: units and their changes to the right and downwards, [3, N] each.
+        rays: N of them.
         start: of each ray's part of the arc, exposures [N].
         stop: end of it [N].
-        spread: variance of lens and pixel together, px^2.
+        spread: variance of lens and single pixel together, px^2.
         ball_radius: m.
         instants: of the mean.
 
     Returns:
         Opacity [N], derivative in the arc [9, N], derivative in the spread [N].
     """
-    u, right, down = rays
-    along, sideways, downwards = arc @ u, arc @ right, arc @ down
+    u, variance = rays.unit, spread + rays.blur
+    along, sideways, downwards = arc @ u, arc @ rays.right, arc @ rays.down
     nodes, weights = gauss_legendre(instants)
     alpha, J_spread = torch.zeros_like(start), torch.zeros_like(start)
     J = torch.zeros(3, 3, len(start), dtype=start.dtype)
@@ -87,12 +88,12 @@ def slow_opacity(
         away = centre - s * u
         # many times faster than torch's norm along a first dimension
         gap = (away * away).sum(0).sqrt().clamp_min(1e-3 * ball_radius)
-        width = (s / gap).abs() * (spread * (r * r + d * d)).sqrt()
+        width = (s / gap).abs() * (variance * (r * r + d * d)).sqrt()
         # how the rim bends counts near the rim alone; in the middle of the disc it has no meaning
         bend = width / (2 * gap.clamp_min(ball_radius / 2))
         x = ((ball_radius - gap) / width - bend).clamp(-SHARP, SHARP)
         alpha += share * torch.special.ndtr(x)
         steep = share * density(x)
         J -= powers[:, None] * (steep / (width * gap) * away)
-        J_spread -= steep * ((ball_radius - gap) / width + bend) / (2 * spread)
+        J_spread -= steep * ((ball_radius - gap) / width + bend) / (2 * variance)
     return alpha, J.flatten(0, 1), J_spread

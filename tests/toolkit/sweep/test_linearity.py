@@ -42,7 +42,7 @@ def judged(seen, factor=1.0):
     frame = seen.frame()
     view = replace(view, corner=(0, 0), smooth_ground=seen.shot.clean_background[None])
     fit = fit_sweep(seen.model(), seen.truth(), frame, doubt=1.0)
-    return judge_linearity(view, frame, fit, factor)
+    return judge_linearity(view, fit, factor)
 
 
 @pytest.mark.parametrize("exponent", [0.93, 1.07])
@@ -113,7 +113,7 @@ def test_a_measured_curve_errs_in_its_own_ways(seen, doubt):
     view = replace(view, corner=(0, 0), shot=image, background=background)
     frame, fit = seen.frame(), seen.fit()
     known = judge_linearity(
-        replace(view, smooth_ground=seen.shot.clean_background[None]), frame, fit, 1.0
+        replace(view, smooth_ground=seen.shot.clean_background[None]), fit, 1.0
     ).known
     assert known == pytest.approx(doubt.exponent_std())
     changes = response_changes(view, seen.estimator, frame, fit, Linearity(known=known))

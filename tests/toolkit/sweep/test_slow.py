@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from toolkit import Camera
-from toolkit.sweep.pixels import find_rays
+from toolkit.sweep.rays import find_rays
 from toolkit.sweep.slow import count_instants, slow_opacity
 from toolkit.synthetic import PlainBall, Scene, StraightPath, render_shot
 
@@ -30,8 +30,7 @@ RAYS = rays_of(CAMERA)
 
 def slow(arc, spread=SPREAD, instants=24):
     half = torch.full_like(RAYS.unit[0], 0.5)
-    axes = (RAYS.unit, RAYS.right, RAYS.down)
-    return slow_opacity(arc, axes, -half, half, spread, RADIUS, instants)
+    return slow_opacity(arc, RAYS, -half, half, spread, RADIUS, instants)
 
 
 def sharp_mean(arc):

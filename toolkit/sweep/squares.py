@@ -1,0 +1,72 @@
+"""Squares of pixels in a window, single ones among them: which they hold and what these show."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Squares:
+    """M squares of a window, all alike in size."""
+
+    side: int  # px
+    corner: Tensor  # [M, 2] column and row of the upper left pixel
+    window: tuple[int, int]  # height and width, px
+
+    @classmethod
+    def of(cls, mask: NDArray[np.uint8], side: int, window: tuple[int, int]) -> "Squares":
+        """Take those that are marked among all [H // side, W // side]."""
+        row, column = np.divmod(np.flatnonzero(mask), mask.shape[1])
+        corner = torch.from_numpy(np.stack([column, row], axis=-1) * side)
+        return cls(side=side, corner=corner, window=window)
+
+    def __len__(self) -> int:
+        """Number of squares."""
+        return len(self.corner)
+
+    def __getitem__(self, chosen: Tensor) -> "Squares":
+        """Give some of them."""
+        return Squares(side=self.side, corner=self.corner[chosen], window=self.window)
+
+    @property
+    def place(self) -> Tensor:
+        """Column and row of their middles [M, 2]."""
+        return self.corner.double() + (self.side - 1) / 2
+
+    @property
+    def blur(self) -> Tensor:
+        """Variance of a place within each beyond that in a single pixel [M], px^2 along a side."""
+        return torch.full((len(self),), (self.side**2 - 1) / 12, dtype=torch.float64)
+
+    def index(self, border: int = 0) -> Tensor:
+        """Number the pixels of each square and of a border about it [n, M], row by row.
+
+        Those beyond the window are replaced by the nearest inside.
+        """
+        height, width = self.window
+        steps = torch.arange(-border, self.side + border)[:, None]
+        column, row = self.corner[:, 0] + steps, self.corner[:, 1] + steps
+        if border:
+            column, row = column.clamp(0, width - 1), row.clamp(0, height - 1)
+        return (row[:, None] * width + column).flatten(0, 1)
+
+    def pick(self, image: Tensor, border: int = 0) -> Tensor:
+        """Give what the pixels of each square show in an image [Q, H, W]: [n, Q, M]."""
+        index = self.index(border)
+        # several times faster than to index by a matrix
+        values = image.flatten(1).index_select(1, index.flatten())
+        return values.reshape(-1, *index.shape).transpose(0, 1)
+
+    def slope(self, image: Tensor) -> Tensor:
+        """Give the change of an image [Q, H, W] across each square and a border, per px [2, Q, M].
+
+        It is that of the plane nearest to them, to the right and downwards.
+        """
+        count = self.side + 2
+        steps = torch.arange(count, dtype=image.dtype) - (count - 1) / 2
+        right = steps.repeat(count) / (count * (steps * steps).sum())
+        down = right.reshape(count, count).mT.flatten()
+        return torch.einsum("nqm,xn->xqm", self.pick(image, 1), torch.stack([right, down]))
