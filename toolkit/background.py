@@ -55,15 +55,14 @@ class PairSamples:
 
     def drift(self) -> Tensor:
         """Give the median ratio of shot to background per channel, [3]."""
-        pairs = zip(self.level, self.difference, strict=True)
-        ratios = [_ratio(level, difference, self.frames)[0] for level, difference in pairs]
-        return torch.tensor(ratios, dtype=torch.float64)
+        return self.drift_and_std()[0]
 
-    def drift_std(self) -> Tensor:
-        """Give the standard deviation of `drift` that noise leaves it, [3]."""
+    def drift_and_std(self) -> tuple[Tensor, Tensor]:
+        """Give `drift`, and the standard deviation that noise leaves it, [3] each."""
         pairs = zip(self.level, self.difference, strict=True)
-        stds = [_ratio(level, difference, self.frames)[1] for level, difference in pairs]
-        return torch.tensor(stds, dtype=torch.float64)
+        ratios = [_ratio(level, difference, self.frames) for level, difference in pairs]
+        drift, std = torch.tensor(ratios, dtype=torch.float64).mT
+        return drift, std
 
 
 def sample_pair(

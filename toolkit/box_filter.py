@@ -25,4 +25,4 @@ def box_mean(picture: Tensor, size: int) -> Tensor:
 
 def ring_mean(picture: Tensor) -> Tensor:
     """Average over 7 x 7 pixels without the inner 3 x 3, where demosaicing spreads own noise."""
-    return (49 * box_mean(picture, 7) - 9 * box_mean(picture, 3)) / 40
+    return box_mean(picture, 7).mul_(49).sub_(box_mean(picture, 3), alpha=9).div_(40)

@@ -77,10 +77,10 @@ def is_changed(light: Tensor, std: Tensor) -> bool:
     return bool(((light - 1).abs() > (CERTAIN * std).clamp_min(DRIFT)).any())
 
 
-def roughly_lit(
+def is_lit_otherwise(
     image: LinearImage, background: LinearImage, light: Tensor, std: Tensor
-) -> LinearImage:
-    """Give the background in another light where the shot clearly was taken in that.
+) -> bool:
+    """Say whether the shot clearly was taken in another light than the background.
 
     A ball that hides most of what is bright is taken for another light; then more of the picture
     agrees with the background as it is.
@@ -92,9 +92,9 @@ def roughly_lit(
         std: its standard deviation, [3].
     """
     if not is_changed(light, std):
-        return background
+        return False
     lit = scale_background(background, light)
-    return lit if _disagreement(image, lit) < _disagreement(image, background) else background
+    return _disagreement(image, lit) < _disagreement(image, background)
 
 
 def _disagreement(image: LinearImage, background: LinearImage) -> float:
@@ -120,5 +120,5 @@ def grown(mask: Tensor, reach: float) -> Tensor:
     coarse = np.ascontiguousarray(mask[0, 0, ::step, ::step].numpy()).view(np.uint8)
     size = 2 * (1 + round(reach / step)) + 1  # one more for what lies between the places looked at
     wide = cv2.dilate(coarse, np.ones((size, size), np.uint8))
-    large = cv2.resize(wide, None, fx=step, fy=step, interpolation=cv2.INTER_NEAREST)
+    large = wide.repeat(step, 1).repeat(step, 0)
     return torch.from_numpy(large.view(np.bool_))[None, None, : mask.shape[-2], : mask.shape[-1]]

@@ -52,7 +52,7 @@ class _Guarded(AlphaEstimator):
             _check_pictures(image, background)
             self._refuse("observe", "gives signals or grounds that are not finite")
         # infinite where nothing was measured; a NaN fails the comparison
-        if not bool((seen.variance >= 0).all()):
+        if not float(seen.variance.detach().min()) >= 0:
             _check_pictures(image, background)
             self._refuse("observe", "gives variances that are negative or no number")
         self._check_channels(seen)

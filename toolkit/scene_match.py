@@ -41,7 +41,7 @@ PEAK = 0.1
 """Share of the correlation in its peak from which a shift is looked at."""
 
 Map = NDArray[np.float32]
-Mask = NDArray[np.bool_]
+Places = NDArray[np.intp]
 
 
 def check_light(light: Tensor) -> None:
@@ -54,7 +54,7 @@ def check_light(light: Tensor) -> None:
         )
 
 
-def check_same_scene(image: LinearImage, background: LinearImage) -> None:
+def check_same_scene(image: LinearImage, background: LinearImage, reduced_by: int = 1) -> None:
     """Raise `MismatchError` when the camera moved, or the scene is another one.
 
     A scene is recognised by the steepest places of the background, which the shot must show too; a
@@ -64,24 +64,27 @@ def check_same_scene(image: LinearImage, background: LinearImage) -> None:
     Args:
         image: the shot.
         background: the scene without the ball, in the light of the shot.
+        reduced_by: px of the stored picture to one of these.
     """
     factor = _reduction(image)
     shot, ground = (_reduced(picture, factor) for picture in (image, background))
-    slope = _slope(ground)
-    is_steep = _steep(ground, slope)
-    if np.count_nonzero(is_steep) < MIN_STEEP:
+    factor *= reduced_by
+    smooth_shot, smooth_ground = _smooth(shot), _smooth(ground)
+    slope = _slope(smooth_ground)
+    steepness = cv2.magnitude(*slope).ravel()
+    steep = _steepest(ground, steepness)
+    if len(steep) < MIN_STEEP:
         return
-    change = _change(shot, ground, is_steep)
-    steepness = float(ranked_value(np.hypot(*slope)[is_steep]))
-    is_still = change < UNMOVED * steepness * MIN_SHIFT / factor
-    shift = None if is_still else _shift(shot, ground, is_steep, change)
+    change = _change(smooth_shot, smooth_ground, steep)
+    is_still = change < UNMOVED * float(ranked_value(steepness[steep])) * MIN_SHIFT / factor
+    shift = None if is_still else _shift(shot, ground, steep, change)
     if shift is not None and factor * math.hypot(*shift) >= MIN_SHIFT:
         x, y = (round(factor * length) for length in shift)
         raise MismatchError(
             "background and shot do not fit together: the camera moved between them, the picture "
             f"by about ({x}, {y}) px; fix the camera, and take the background again"
         )
-    if _agreement(_slope(shot), slope, is_steep) < MIN_AGREEMENT:
+    if _agreement(_slope(smooth_shot), slope, steep) < MIN_AGREEMENT:
         raise MismatchError(
             "background and shot do not fit together: most of what stands out in the background is "
             "not in the shot; take the background of the same scene from the same place"
@@ -102,40 +105,41 @@ def _reduced(image: LinearImage, factor: int) -> Map:
     return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.float32)
 
 
-def _slope(picture: Map) -> Map:
-    """Give the derivatives of the smoothed picture, [2, H, W] per px."""
-    smooth = cv2.GaussianBlur(picture, (0, 0), SMOOTHING)
-    return np.stack([cv2.Sobel(smooth, cv2.CV_32F, *d, scale=1 / 8) for d in ((1, 0), (0, 1))])
+def _smooth(picture: Map) -> Map:
+    return np.asarray(cv2.GaussianBlur(picture, (0, 0), SMOOTHING), np.float32)
 
 
-def _steep(picture: Map, slope: Map) -> Mask:
-    """Tell where the picture is steepest, and steeper than its noise can be."""
-    steepness = np.hypot(*slope)
+def _slope(smooth: Map) -> tuple[Map, Map]:
+    """Give the derivatives of a smoothed picture in x and y, per px."""
+    x, y = (cv2.Sobel(smooth, cv2.CV_32F, *d, scale=1 / 8) for d in ((1, 0), (0, 1)))
+    return np.asarray(x, np.float32), np.asarray(y, np.float32)
+
+
+def _steepest(picture: Map, steepness: Map) -> Places:
+    """Give the places where the picture is steepest, and steeper than its noise can be."""
     # second differences see noise and hardly any texture; their gain is 6 (Immerkaer 1996)
-    kernel = np.outer([1, -2, 1], [1, -2, 1]).astype(np.float32)
-    rough = np.abs(cv2.filter2D(picture, cv2.CV_32F, kernel))
-    noise = float(ranked_value(rough.ravel()[::SPARSE])) / HALF_OF_NORMAL / 6
+    kernel = np.array([1, -2, 1], np.float32)
+    rough = cv2.sepFilter2D(picture, cv2.CV_32F, kernel, kernel).ravel()[::SPARSE]
+    noise = float(ranked_value(np.abs(rough))) / HALF_OF_NORMAL / 6
     # the gain of a Gaussian's derivative is 1 / (sqrt(8 pi) sigma^2)
     noise_slope = noise / ((8 * math.pi) ** 0.5 * SMOOTHING**2)
-    limit = max(
-        float(ranked_value(steepness.ravel()[::SPARSE], 1 - TEXTURE)), SIGNIFICANCE * noise_slope
-    )
-    return np.asarray(steepness > limit)
+    usual = float(ranked_value(steepness[::SPARSE], 1 - TEXTURE))
+    return np.flatnonzero(steepness > max(usual, SIGNIFICANCE * noise_slope))
 
 
-def _agreement(shot: Map, ground: Map, is_steep: Mask) -> float:
+def _agreement(shot: tuple[Map, Map], ground: tuple[Map, Map], steep: Places) -> float:
     """Share of the background's steps that the shot shows, less those it shows reversed."""
-    share = (shot * ground).sum(0)[is_steep] / (ground * ground).sum(0)[is_steep]
+    (shot_x, shot_y), (x, y) = ([part.ravel()[steep] for part in both] for both in (shot, ground))
+    share = (shot_x * x + shot_y * y) / (x * x + y * y)
     return float((share > SEEN).mean() - (share < -SEEN).mean())
 
 
-def _change(shot: Map, ground: Map, is_steep: Mask) -> float:
+def _change(smooth_shot: Map, smooth_ground: Map, steep: Places) -> float:
     """Median difference between smoothed shot and background where it is steep."""
-    smooth = cv2.GaussianBlur(shot - ground, (0, 0), SMOOTHING)
-    return float(ranked_value(np.abs(smooth[is_steep])))
+    return float(ranked_value(np.abs(smooth_shot.ravel()[steep] - smooth_ground.ravel()[steep])))
 
 
-def _shift(shot: Map, ground: Map, is_steep: Mask, change: float) -> tuple[float, float] | None:
+def _shift(shot: Map, ground: Map, steep: Places, change: float) -> tuple[float, float] | None:
     """Give the shift (x, y) px from background to shot if it explains most of their difference."""
     window = cv2.createHanningWindow(shot.shape[::-1], cv2.CV_32F)
     # copies: pictures whose size suits the Fourier transform would be multiplied by the window
@@ -144,5 +148,5 @@ def _shift(shot: Map, ground: Map, is_steep: Mask, change: float) -> tuple[float
         return None
     move = np.array([[1, 0, x], [0, 1, y]])
     moved = cv2.warpAffine(ground, move, ground.shape[::-1], borderMode=cv2.BORDER_REPLICATE)
-    left = _change(shot, np.asarray(moved, np.float32), is_steep)
+    left = _change(_smooth(shot), _smooth(moved), steep)
     return (x, y) if left < REMAINDER * change else None

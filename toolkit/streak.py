@@ -13,15 +13,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator, Observation
-from toolkit.block_means import block_means, whole_periods
 from toolkit.errors import ConfigError, StreakError
 from toolkit.middle_line import AXIS_POINTS, Map, Mask
+from toolkit.overview import MAX_SIDE, Overview
 from toolkit.splines import fit_smooth
 from toolkit.streak_shape import Region, is_of_a_ball, regions
 from toolkit.types import LinearImage, NoiseModel, Streak
 
-MAX_SIDE = 540
-"""px; larger pictures are reduced to this: the search for a whole streak needs no more."""
 SMOOTHING = 1.5
 """px of the reduced picture."""
 LEAST_VARIANCE = 1e-14
@@ -46,20 +44,12 @@ ROI = tuple[int, int, int, int]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Scene:
-    """Shot and background, or a window of both, and what is to be found in them."""
+    """Shot and background, or a window of both, reduced, and what is to be found in them."""
 
-    image: LinearImage
-    background: LinearImage
+    pictures: Overview
     noise: NoiseModel
     estimator: AlphaEstimator
-    roi: ROI | None
-
-    def window(self, area: ROI) -> "_Scene":
-        """Cut out a part; the region to search in moves along."""
-        roi = None if self.roi is None else _intersection(self.roi, area)
-        return replace(
-            self, image=self.image.window(*area), background=self.background.window(*area), roi=roi
-        )
+    roi: ROI | None  # px before they were reduced
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,6 +67,7 @@ def find_streak(
     noise: NoiseModel,
     estimator: AlphaEstimator,
     roi: ROI | None = None,
+    overview: Overview | None = None,
 ) -> Streak:
     """Find the streak and its rough axis in one picture: also that of a ball that stood still.
 
@@ -86,6 +77,7 @@ def find_streak(
         noise: of the shot.
         estimator: gives the opacity of every pixel.
         roi: left, top, width, height in px to search in; the whole picture when None.
+        overview: of shot and background, where it is at hand.
 
     Returns:
         Streak; the axis runs from tip to tip, to the right in the picture, or down where it is
@@ -97,36 +89,39 @@ def find_streak(
     """
     if roi is not None:
         _check_roi(roi, image)
-    scene = _Scene(image=image, background=background, noise=noise, estimator=estimator, roi=roi)
-    factor = _reduction(image)
-    first = _search(scene, factor, MIN_AREA if factor == 1 else FIRST_AREA)
+    overview = Overview.of(image, background) if overview is None else overview
+    factor = overview.factor
+    scene = _Scene(pictures=overview, noise=noise, estimator=estimator, roi=roi)
+    first = _search(scene, MIN_AREA if factor == 1 else FIRST_AREA)
     for region in first.regions:
         area, finer = _closer(region, factor, image)
-        found = first if finer == factor else _search(scene.window(area), finer, MIN_AREA)
-        seen = [region] if finer == factor else found.regions
+        found, seen = first, [region]
+        if finer != factor:
+            window = Overview.of(image.window(*area), background.window(*area), finer)
+            part = None if roi is None else _intersection(roi, area)
+            found = _search(replace(scene, pictures=window, roi=part), MIN_AREA)
+            seen = found.regions
         for near in seen:
             if near.mask.sum() >= MIN_AREA and is_of_a_ball(near, found.opacity):
                 return _streak(near, (0, 0) if finer == factor else area[:2], finer, image)
     raise StreakError(first.why_nothing)
 
 
-def _search(scene: _Scene, factor: int, min_area: int) -> _Search:
-    """Look for the streak in a scene reduced by a factor.
+def _search(scene: _Scene, min_area: int) -> _Search:
+    """Look for the streak in a scene; all is in px of the reduced pictures.
 
     Args:
         scene: where to search.
-        factor: the answer is in px of the reduced picture.
-        min_area: px of the reduced picture.
+        min_area: px.
     """
+    pictures = scene.pictures
     observation = scene.estimator.observe(
-        block_means(scene.image, factor),
-        block_means(scene.background, factor),
-        _averaged(scene.noise, factor),
+        pictures.image, pictures.background, _averaged(scene.noise, pictures.factor)
     )
     opacity, significance, likeness = _evidence(observation, scene.estimator)
     seen = ((significance > MIN_SIGNIFICANCE) & (likeness > MIN_LIKENESS)).astype(np.uint8)
     if scene.roi is not None:
-        region = _roi_mask(scene.roi, factor, seen.shape)
+        region = _roi_mask(scene.roi, pictures.factor, seen.shape)
         seen &= region
         significance = significance * region
     found = seen * (opacity > MIN_OPACITY)
@@ -160,11 +155,11 @@ def _closer(region: Region, factor: int, image: LinearImage) -> tuple[ROI, int]:
 def _streak(region: Region, corner: tuple[int, int], factor: int, image: LinearImage) -> Streak:
     """Give a region of a reduced window, whose corner lies at (x, y) px, in the whole picture."""
     axis = _forward((region.axis + 0.5) * factor - 0.5 + corner)
-    height, width = (factor * side for side in region.mask.shape)
-    left, top = corner
+    x, y, width, height = cv2.boundingRect(region.mask)
+    fine = region.mask[y : y + height, x : x + width].repeat(factor, 1).repeat(factor, 0)
+    left, top = corner[0] + x * factor, corner[1] + y * factor
     mask = np.zeros((image.height, image.width), np.uint8)
-    fine = cv2.resize(region.mask, (width, height), interpolation=cv2.INTER_NEAREST)
-    mask[top : top + height, left : left + width] = fine
+    mask[top : top + height * factor, left : left + width * factor] = fine
     return Streak(
         mask=torch.from_numpy(mask.view(np.bool_))[None, None],
         axis=torch.from_numpy(axis)[None],
@@ -190,12 +185,6 @@ def refine_axis(middle: Tensor, weight: Tensor, position: Tensor, sizes: tuple[i
     points = curve(inner) + (position - inner)[:, None] * curve(inner, 1)
     keep = torch.linspace(0, len(points) - 1, AXIS_POINTS).round().long()
     return points[keep][None]
-
-
-def _reduction(image: LinearImage) -> int:
-    """Choose by how much to reduce a picture; a mosaic by whole periods of its pattern."""
-    factor = max(1, math.ceil(max(image.width, image.height) / MAX_SIDE))
-    return factor if factor == 1 else whole_periods(image, factor)
 
 
 def _averaged(noise: NoiseModel, factor: int) -> NoiseModel:

@@ -6,7 +6,7 @@ px of the picture given.
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -58,6 +58,17 @@ def regions(found: Mask, faint: Mask, min_area: int) -> Iterator[Region]:
         faint: the same where anything is seen.
         min_area: px of what is clearly seen.
     """
+    left, top, width, height = cv2.boundingRect(found | faint)
+    left, top, right, bottom = max(left - 2, 0), max(top - 2, 0), left + width + 2, top + height + 2
+    area = (slice(top, bottom), slice(left, right))
+    for region in _regions(found[area], faint[area], min_area):
+        mask = np.zeros_like(found)
+        mask[area] = region.mask
+        yield replace(region, mask=mask, axis=region.axis + (left, top))
+
+
+def _regions(found: Mask, faint: Mask, min_area: int) -> Iterator[Region]:
+    """Do the same for pictures that hold little else, and 2 px of nothing about it."""
     closed = cv2.morphologyEx(found, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     count, labels, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=8)
     seen = np.zeros_like(found)

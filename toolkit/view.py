@@ -8,8 +8,9 @@ from torch import Tensor
 from toolkit.alpha import AlphaEstimator, Observation, observe_colours
 from toolkit.background import estimate_noise, sample_pair, scale_background
 from toolkit.box_filter import ring_mean
-from toolkit.clear_pixels import around, clear_light, is_changed, roughly_lit
+from toolkit.clear_pixels import around, clear_light, is_changed, is_lit_otherwise
 from toolkit.errors import StreakError
+from toolkit.overview import Overview
 from toolkit.scene_match import check_light, check_same_scene
 from toolkit.streak import ROI, find_streak
 from toolkit.types import LinearImage, NoiseModel, Streak
@@ -55,19 +56,15 @@ def observe_streak(
         StreakError: when there is no streak, or it leaves the picture.
         ConfigError: when the region lies outside the picture.
     """
-    first = sample_pair(image, background, least=FIRST_SAMPLES)
-    check_light(first.drift())
-    lit = roughly_lit(image, background, *clear_light(image, background))
-    check_same_scene(image, lit)
-    noise = first.noise() if lit is background else estimate_noise(image, lit)
-    streak = find_streak(image, lit, noise, estimator, roi)
+    overview = Overview.of(image, background)
+    streak = _roughly_lit_streak(image, background, overview, estimator, roi)
     ignore = around(streak)
     samples = sample_pair(image, background, ignore)
-    drift = samples.drift()
-    if is_changed(drift, samples.drift_std()):
-        background = scale_background(background, drift)
+    drift, std = samples.drift_and_std()
+    if is_changed(drift, std):
+        background, overview = scale_background(background, drift), overview.lit(drift)
         noise = estimate_noise(image, background, ignore)
-        streak = find_streak(image, background, noise, estimator, roi)
+        streak = find_streak(image, background, noise, estimator, roi, overview)
     else:
         drift = torch.ones_like(drift)
         noise = samples.noise()
@@ -86,6 +83,24 @@ def observe_streak(
         corner=(left, top),
         drift=drift,
     )
+
+
+def _roughly_lit_streak(
+    image: LinearImage,
+    background: LinearImage,
+    overview: Overview,
+    estimator: AlphaEstimator,
+    roi: ROI | None,
+) -> Streak:
+    """Find the streak in the light that most of the picture tells, with the noise of all of it."""
+    samples = sample_pair(image, background, least=FIRST_SAMPLES)
+    check_light(samples.drift())
+    light, std = clear_light(overview.image, overview.background)
+    if is_lit_otherwise(overview.image, overview.background, light, std):
+        background, overview = scale_background(background, light), overview.lit(light)
+        samples = sample_pair(image, background)
+    check_same_scene(overview.image, overview.background, overview.factor)
+    return find_streak(image, background, samples.noise(), estimator, roi, overview)
 
 
 def _check_inside(streak: Streak, image: LinearImage) -> None:
