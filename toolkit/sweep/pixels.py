@@ -1,6 +1,7 @@
 """The pixels about a streak: what was observed there, with its noise, and where each one looks."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -26,6 +27,8 @@ BESIDE_SIDE = 2
 """px along the side of the squares in which these are summed up, at least."""
 INSET = 2.0
 """px beyond its side by which a square must lie inside the streak for its pixels to be averaged."""
+LARGEST = 1e30
+"""Finite variance in place of an infinite one."""
 EVEN = 0.05
 """Variance of the ground within such a square over the squared contrast of ball and ground."""
 NOISELESS = 10**9
@@ -85,8 +88,8 @@ class StreakPixels:
 
     def mean_of(self, image: Tensor) -> Tensor:
         """Give what each shows in another image of the window [Q, H, W]: [Q, N]."""
-        means = [squares.pick(image).mean(0) for squares in self.squares]
-        return torch.cat(means, dim=-1).double()
+        picked = (squares.pick(image)[0] for squares in self.squares)
+        return torch.cat([values.mean(1) for values in picked], dim=-1).double()
 
     def behind_lens(self, opacity_slope: Tensor, spread: float) -> "StreakPixels":
         """Give the same where the lens mixes the ball's rim with the ground beside it.
@@ -102,7 +105,7 @@ class StreakPixels:
         return replace(self, mixed=-(spread + self.rays.blur) * joint)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Frame:
     """The whole window about a streak, as maps; pixels are taken from it."""
 
@@ -123,17 +126,22 @@ class Frame:
         quiet = replace(view.background, frames=NOISELESS)
         own = estimator.observe(view.shot, quiet, view.noise).variance[0]
         both = seen.variance[0]
-        is_measured = torch.isfinite(both)
-        ground_variance = torch.where(is_measured, (both - own).clamp_min(0), 0)
+        # what is infinite in both leaves no number
+        ground_variance = (both - own).nan_to_num(0.0).clamp_min(0)
         return cls(
             corner=view.corner,
-            usable=~view.clipped[0, 0] & is_measured.any(0),
+            usable=~view.clipped[0, 0] & (both.amin(0) < torch.inf),
             signal=seen.signal[0],
             ground=seen.ground[0],
             shot_variance=own,
             ground_variance=ground_variance,
             camera=camera,
         )
+
+    @cached_property
+    def measured(self) -> Tensor:
+        """1 where a channel of a pixel can be used, else 0 [Q, H, W]."""
+        return (self.usable & (self.shot_variance < torch.inf)).to(self.signal)
 
     def noisier(self, factor: float) -> "Frame":
         """Give the same with all variances multiplied."""
@@ -172,7 +180,7 @@ class Frame:
         reach = size + ROOM + doubt
         near = self._band(middle, reach, side)
         groups = []
-        if inner > side:
+        if inner > side == 1:
             deep = self._deep(middle, size - doubt, inner, contrast)
             near.reshape(-1)[deep.index().numpy()] = 0
             groups.append(self._read(deep))
@@ -208,33 +216,33 @@ class Frame:
         return Squares.of(mask, side, (height, width))
 
     def _deep(self, middle: Array, size: Array, side: int, contrast: float) -> Squares:
-        """Find the squares far inside the streak, all usable and before an even ground."""
+        """Find the squares far inside the streak, all measured and before an even ground."""
         squares = self._squares(self._band(middle, size - INSET - 2 * side, side), side)
-        used = squares.pick(self.usable[None] & torch.isfinite(self.shot_variance))
-        varies = squares.pick(self.ground).var(0, correction=0).sum(0)
-        return squares[used.all(0).all(0) & (varies < EVEN * contrast**2)]
+        used, ground = squares.pick(self.measured, self.ground)
+        varies = ((ground * ground).mean(1) - ground.mean(1) ** 2).sum(0)
+        return squares[(used.amin(1).amin(0) > 0) & (varies < EVEN * contrast**2)]
 
     def _read(self, squares: Squares) -> "_Reading":
-        """Average what squares show, each pixel by the precision of what was measured there."""
-        used = squares.pick(self.usable[None])
-        if squares.side == 1:
-            squares = squares[used[0, 0]]
-            maps = (self.signal, self.ground, self.shot_variance, self.ground_variance)
-            return _Reading(squares, tuple(squares.pick(each)[0].double() for each in maps))
-        shot, empty = squares.pick(self.shot_variance), squares.pick(self.ground_variance)
-        total = shot + empty
-        weight = torch.where(used & torch.isfinite(total), 1 / total, 0)
-        norm = weight.sum(0)
-        is_seen = (norm > 0).any(0)
-        weight = weight / norm.clamp_min(1e-30)
-        shot = torch.where(weight > 0, shot, 0)
-        maps = (
-            (squares.pick(self.signal) * weight).sum(0),
-            (squares.pick(self.ground) * weight).sum(0),
-            torch.where(norm > 0, (shot * weight * weight).sum(0), torch.inf),
-            (empty * weight * weight).sum(0),
-        )
-        return _Reading(squares[is_seen], tuple(each[:, is_seen].double() for each in maps))
+        """Average what squares show, over the pixels where something was measured."""
+        maps = (self.signal, self.ground, self.shot_variance, self.ground_variance)
+        used, *values = squares.pick(self.measured, *maps)
+        count = used.sum(1)
+        if squares.side > 1:
+            share = used / count.clamp_min(1)[:, None]
+            signal, ground, shot, empty = values
+            # an infinite variance is left out as well
+            shot = shot.clamp_max(LARGEST)
+            weights = (share, share, share * share, share * share)
+            values = [
+                each * w for each, w in zip((signal, ground, shot, empty), weights, strict=True)
+            ]
+        signal, ground, shot, empty = (each.sum(1).double() for each in values)
+        shot = torch.where(count > 0, shot, torch.inf)
+        is_seen = count.amax(0) > 0
+        if bool(is_seen.all()):
+            return _Reading(squares, (signal, ground, shot, empty))
+        seen = tuple(each[:, is_seen] for each in (signal, ground, shot, empty))
+        return _Reading(squares[is_seen], seen)
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,6 +5,7 @@ of a throw, at the start of a fall or in a tight bend that is not enough: there 
 straight pieces, each the nearest to its part of the arc. [derived]
 """
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -15,11 +16,13 @@ from toolkit.sweep.opacity import ArcOpacity, arc_opacity
 from toolkit.sweep.passage import REACH
 from toolkit.sweep.rays import Rays
 
-SHARP = 0.7
+SHARP = 0.35
 """Share of its velocity that a ball may gain while it moves by its width."""
-RESIDUE = 0.005
-"""Ball radii by which a piece may leave the arc on either side."""
-MOST_PIECES = 40
+INSTANTS = 129
+"""At which an arc is asked whether it turns sharply."""
+RESIDUE, RESIDUE_PX = 0.005, 0.06
+"""Ball radii, and px, by which a piece may leave the arc on either side: the less of the two."""
+MOST_PIECES = 120
 
 
 def opacity_parts(
@@ -40,13 +43,16 @@ def opacity_parts(
         the piece is the arc itself.
     """
     low, high = float(start.min()), float(stop.max())
-    if not _turns_sharply(arc, low, high, ball_radius):
+    turn = _sharp_turn(arc, low, high, ball_radius)
+    if turn is None:
         return [(arc_opacity(arc, rays, start, stop, spread, ball_radius), None)]
-    # over a time w the nearest straight motion leaves an arc by w^2 c2 / 6 at the ends
-    longest = math.sqrt(6 * RESIDUE * ball_radius / float(torch.linalg.vector_norm(arc[2])))
-    bounds = torch.linspace(low, high, 1 + min(MOST_PIECES, math.ceil((high - low) / longest)))
     parts: list[tuple[ArcOpacity, Tensor | None]] = []
-    for early, late in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):
+    for early, late in ((low, turn[0]), (turn[1], high)):
+        if early < late:
+            begin, end = (time.clamp(early, late) for time in (start, stop))
+            parts.append((arc_opacity(arc, rays, begin, end, spread, ball_radius), None))
+    bounds = _bounds(arc, *turn, rays, ball_radius)
+    for early, late in itertools.pairwise(bounds):
         share = _nearest_straight(early, late)
         piece = share @ arc
         index = _about(piece, early, late, rays, spread, ball_radius)
@@ -58,6 +64,19 @@ def opacity_parts(
         J = torch.kron(share, torch.eye(3, dtype=arc.dtype))
         parts.append((replace(part, passage=passage), J))
     return parts
+
+
+def _bounds(arc: Tensor, early: float, late: float, rays: Rays, ball_radius: float) -> list[float]:
+    """Cut a part of an arc into straight pieces: the instants between them, and both ends."""
+    middle = (early + late) / 2
+    distance = torch.linalg.vector_norm(arc[0] + middle * (arc[1] + middle * arc[2]))
+    px = float(distance * torch.linalg.vector_norm(rays.right[:, 0]))
+    residue = min(RESIDUE * ball_radius, RESIDUE_PX * px)
+    # over a time w the nearest straight motion leaves an arc by w^2 c2 / 6 at the ends
+    longest = math.sqrt(6 * residue / float(torch.linalg.vector_norm(arc[2])))
+    count = min(MOST_PIECES, math.ceil((late - early) / longest))
+    bounds: list[float] = torch.linspace(early, late, 1 + count, dtype=torch.float64).tolist()
+    return bounds
 
 
 def _nearest_straight(early: float, late: float) -> Tensor:
@@ -82,12 +101,23 @@ def _about(
     return is_near.nonzero()[:, 0]
 
 
-def _turns_sharply(arc: Tensor, low: float, high: float, ball_radius: float) -> bool:
+def _sharp_turn(
+    arc: Tensor, low: float, high: float, ball_radius: float
+) -> tuple[float, float] | None:
+    """Find from when to when an arc turns sharply; None where it never does."""
     c0, c1, c2 = arc
     if high <= low or not bool((c2 != 0).any()):
-        return False
-    slowest = min(max(-float(c1 @ c2) / (2 * float(c2 @ c2)), low), high)
-    ahead = torch.nn.functional.normalize(c0 + slowest * (c1 + slowest * c2), dim=0)
-    across, bend = (v - (v @ ahead) * ahead for v in (c1 + 2 * slowest * c2, c2))
-    gained = 4 * ball_radius * float(torch.linalg.vector_norm(bend))
-    return gained > SHARP * float(across @ across)
+        return None
+    time = torch.linspace(low, high, INSTANTS, dtype=torch.float64)
+    t = time[:, None]
+    ahead = torch.nn.functional.normalize(c0 + t * (c1 + t * c2), dim=1)
+    across, bend = (
+        (v - (v * ahead).sum(1, keepdim=True) * ahead).square().sum(1)
+        for v in (c1 + 2 * t * c2, c2.expand_as(ahead))
+    )
+    is_sharp = 4 * ball_radius * bend.sqrt() > SHARP * across
+    index = is_sharp.nonzero()[:, 0]
+    if not len(index):
+        return None
+    first, last = max(int(index[0]) - 1, 0), min(int(index[-1]) + 1, INSTANTS - 1)
+    return float(time[first]), float(time[last])

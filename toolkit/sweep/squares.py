@@ -53,12 +53,13 @@ class Squares:
             column, row = column.clamp(0, width - 1), row.clamp(0, height - 1)
         return (row[:, None] * width + column).flatten(0, 1)
 
-    def pick(self, image: Tensor, border: int = 0) -> Tensor:
-        """Give what the pixels of each square show in an image [Q, H, W]: [n, Q, M]."""
+    def pick(self, *images: Tensor, border: int = 0) -> list[Tensor]:
+        """Give what the pixels of each square show in images [Q, H, W]: [Q, n, M] of each."""
         index = self.index(border)
+        flat = index.flatten()
         # several times faster than to index by a matrix
-        values = image.flatten(1).index_select(1, index.flatten())
-        return values.reshape(-1, *index.shape).transpose(0, 1)
+        picked = (image.flatten(1).index_select(1, flat) for image in images)
+        return [values.reshape(-1, *index.shape) for values in picked]
 
     def slope(self, image: Tensor) -> Tensor:
         """Give the change of an image [Q, H, W] across each square and a border, per px [2, Q, M].
@@ -69,4 +70,5 @@ class Squares:
         steps = torch.arange(count, dtype=image.dtype) - (count - 1) / 2
         right = steps.repeat(count) / (count * (steps * steps).sum())
         down = right.reshape(count, count).mT.flatten()
-        return torch.einsum("nqm,xn->xqm", self.pick(image, 1), torch.stack([right, down]))
+        (values,) = self.pick(image, border=1)
+        return torch.stack([kernel @ values for kernel in (right, down)])

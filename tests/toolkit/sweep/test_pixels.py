@@ -122,7 +122,7 @@ def test_squares_keep_light_and_precision(short, side):
     )
 
 
-def test_squares_weigh_by_precision_and_leave_out_what_is_unusable(short):
+def test_squares_leave_out_what_is_unusable(short):
     frame = short.frame()
     shot = frame.shot_variance.clone()
     shot[:, :, ::2] = torch.inf
