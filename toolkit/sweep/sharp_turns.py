@@ -16,11 +16,12 @@ from toolkit.sweep.opacity import ArcOpacity, arc_opacity
 from toolkit.sweep.passage import REACH
 from toolkit.sweep.rays import Rays
 
-SHARP = 0.35
-"""Share of its velocity that a ball may gain while it moves by its width."""
+SHARP, SMOOTH = 0.35, 0.2
+"""Share of its velocity that a ball may gain while it moves by its width: from where on an arc is
+cut, and down to where pieces go on."""
 INSTANTS = 129
 """At which an arc is asked whether it turns sharply."""
-RESIDUE, RESIDUE_PX = 0.005, 0.06
+RESIDUE, RESIDUE_PX = 0.005, 0.1
 """Ball radii, and px, by which a piece may leave the arc on either side: the less of the two."""
 MOST_PIECES = 120
 
@@ -104,7 +105,7 @@ def _about(
 def _sharp_turn(
     arc: Tensor, low: float, high: float, ball_radius: float
 ) -> tuple[float, float] | None:
-    """Find from when to when an arc turns sharply; None where it never does."""
+    """Find from when to when an arc turns, where it does so sharply anywhere; else None."""
     c0, c1, c2 = arc
     if high <= low or not bool((c2 != 0).any()):
         return None
@@ -115,9 +116,9 @@ def _sharp_turn(
         (v - (v * ahead).sum(1, keepdim=True) * ahead).square().sum(1)
         for v in (c1 + 2 * t * c2, c2.expand_as(ahead))
     )
-    is_sharp = 4 * ball_radius * bend.sqrt() > SHARP * across
-    index = is_sharp.nonzero()[:, 0]
-    if not len(index):
+    gained = 4 * ball_radius * bend.sqrt()
+    if not bool((gained > SHARP * across).any()):
         return None
+    index = (gained > SMOOTH * across).nonzero()[:, 0]
     first, last = max(int(index[0]) - 1, 0), min(int(index[-1]) + 1, INSTANTS - 1)
     return float(time[first]), float(time[last])

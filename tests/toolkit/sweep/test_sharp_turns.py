@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from toolkit.camera import Camera
 from toolkit.sweep.opacity import arc_opacity
 from toolkit.sweep.paths import PARABOLA
 from toolkit.sweep.pixels import find_rays
@@ -80,6 +81,53 @@ def test_derivatives_agree_with_differences(name, differences):
         lambda x: seen_by(scene, x.reshape(3, 3), rays)[0], arc.flatten(), step
     ).mT
     assert (J - expected).norm() < 0.03 * expected.norm()
+
+
+@functools.cache
+def long_flight():
+    """A ball 120 px wide that flies through an apex and on; some rays that see it on its way."""
+    camera = Camera.centred(1400, 1400, 3000.0)
+    radius, distance = 0.02, 1.0
+    arc = torch.tensor([[0.0, -0.15, distance], [0.28, 0.0, 0.0], [0.0, 1.2, 0.0]]).double()
+    time = torch.linspace(-0.48, 0.48, 4001, dtype=torch.float64)[:, None]
+    generator = torch.Generator().manual_seed(5)
+    aside = 0.7 * radius * torch.randn(len(time), 3, generator=generator, dtype=torch.float64)
+    place = camera.project(arc[0] + time * (arc[1] + time * arc[2]) + aside)
+    return arc, find_rays(camera, place), radius
+
+
+def long_opacity(arc, rays, radius):
+    half = torch.full_like(rays.unit[0], 0.5)
+    parts = opacity_parts(arc, rays, -half, half, 0.6, radius)
+    alpha = torch.zeros_like(half)
+    for part, _ in parts:
+        alpha.index_add_(0, part.passage.index, part.alpha)
+    return alpha, parts
+
+
+def test_an_arc_is_cut_where_it_turns_and_whole_before_and_behind():
+    _, parts = long_opacity(*long_flight())
+    whole = [part for part, J in parts if J is None]
+    assert len(whole) == 2
+    assert len(parts) > 20
+
+
+def test_wide_balls_are_followed_through_an_apex_to_a_thousandth_of_their_opacity():
+    arc, rays, radius = long_flight()
+    alpha, _ = long_opacity(arc, rays, radius)
+    # which rays are covered at which of very many instants, the rims smeared out by these alone
+    time = (torch.arange(40_000, dtype=torch.float64) + 0.5) / 40_000 - 0.5
+    inner = rays.unit[:, ::25]
+    covered = torch.zeros_like(inner[0])
+    for t in time.split(4000):
+        centre = arc[0] + t[:, None] * (arc[1] + t[:, None] * arc[2])
+        gap = (centre * centre).sum(-1)[:, None] - (centre @ inner) ** 2
+        covered += (gap < radius**2).double().sum(0)
+    sharp = covered / len(time)
+    is_inside = sharp > sharp.median()  # rims apart, which the lens blurs
+    error = (alpha[::25] - sharp)[is_inside]
+    assert is_inside.sum() > 30
+    assert error.square().mean().sqrt() < 8e-4 * sharp[is_inside].mean()
 
 
 def test_a_smooth_arc_stays_whole():
