@@ -77,11 +77,11 @@ EXPOSURE = {"bounce": 1.0, "arc": 0.5}
 TABLE = 0.17
 """Height of the ball's centre when it touches the table, m below the optical axis."""
 WHITE, WALL = (0.9, 0.9, 0.9), (0.12, 0.12, 0.12)
-PATH_POINTS = 2001
+PATH_POINTS = 1001
 """Of the true path, straight pieces between them."""
-SAMPLES, DRAWS = 41, 200
+SAMPLES, DRAWS = 41, 100
 """Points of a path drawn from the bound, and how many are drawn."""
-SETTLED = 1e-3
+SETTLED = 0.01
 """Chi-square that a further step towards the likeliest path may promise."""
 ALLOWED = 1.2
 """Times the bound that counts as reached."""
@@ -187,9 +187,9 @@ def find_possible(shot: RenderedShot, draw_seed: list[int]) -> Possible:
     x = torch.cat([shape, shape.new_tensor([spread]), torch.ones(3), torch.zeros(3)])
     middle, half_width = outline(model, x)
     pixels = Frame.of(view, estimator, scene.camera).about(middle, half_width)
-    slope = model.opacity_slope(x, pixels, model.opacity(x, pixels))
-    pixels = pixels.behind_lens(slope, spread)
-    seen = compare(model, x, pixels)
+    covered = model.opacity(x, pixels)
+    pixels = pixels.behind_lens(model.opacity_slope(x, pixels, covered), spread)
+    seen = compare(model, x, pixels, covered=covered)
     covariance = torch.linalg.inv(seen.information)[: len(shape), : len(shape)]
     generator = np.random.default_rng(draw_seed)
     draws = generator.multivariate_normal(shape.numpy(), covariance.numpy(), size=DRAWS)

@@ -1,9 +1,24 @@
 import math
 
 import numpy as np
+import paper_table
 import pytest
 import torch
-from paper_table import EXPOSURE, PAPER, draw_scene, expected, flight, gaps, upright_plane
+from paper_table import (
+    DRAWS,
+    EXPOSURE,
+    PAPER,
+    Row,
+    draw_scene,
+    expected,
+    find_possible,
+    flight,
+    gaps,
+    ratio,
+    upright_plane,
+    verdict,
+)
+from sweep_scenes import render
 
 from toolkit import Measurement
 from toolkit.measurement import PathSamples
@@ -63,3 +78,68 @@ def test_what_is_expected_leaves_out_what_lies_along_the_path():
     )
     found = expected(Measurement(trajectory=samples))
     assert found == pytest.approx(math.sqrt(2 / math.pi) * 0.1)
+
+
+def test_gaps_know_the_very_bounce():
+    scene = draw_scene("bounce", 25, 1)
+    instant = torch.tensor([scene.path.bounce_time], dtype=torch.float64)
+    lowest = scene.path.position(instant).numpy()
+    assert gaps(lowest, scene)[0] < 1e-9
+    assert gaps(np.add(lowest, [0.0, 0.002, 0.0]), scene)[0] == pytest.approx(0.1, rel=1e-6)
+
+
+def test_an_error_bound_is_what_the_likeliest_paths_reach():
+    clean = render(draw_scene("arc", 25, 0), 0)
+    found = [find_possible(clean.with_noise(seed), [seed, 37]) for seed in range(3)]
+    drawn = np.array([[gaps(path, clean.scene).mean() for path in each.drawn] for each in found])
+    assert drawn.shape == (3, DRAWS)
+    reached = np.array([gaps(each.likeliest, clean.scene).mean() for each in found])
+    # each is a draw of its own: the mean of three has about a third of their scatter
+    assert abs(reached.mean() - drawn.mean()) < 4 * drawn.std() / math.sqrt(3)
+    assert len(set(reached)) == 3
+    assert not np.allclose(found[0].drawn, found[1].drawn, atol=1e-5)
+
+
+def test_every_picture_draws_its_own_errors(monkeypatch):
+    seeds = []
+    monkeypatch.setattr(paper_table, "render", lambda *_: None)
+    monkeypatch.setattr(paper_table, "print_rows", lambda *_: None)
+    monkeypatch.setattr(paper_table, "measure_shot", lambda shot, seed, *_: seeds.append(seed))
+    paper_table.run("arc", [50, 25], 3, None, "sweep")
+    assert len({tuple(seed) for seed in seeds}) == 6
+
+
+def test_the_standard_error_of_a_ratio_is_the_scatter_of_such_ratios():
+    generator = np.random.default_rng(4)
+    bounds = generator.uniform(0.9, 1.1, size=(2000, 16))
+    values = 1.3 * bounds * generator.gamma(4, 1 / 4, size=bounds.shape)
+    found = np.array([ratio(v, b) for v, b in zip(values, bounds, strict=True)])
+    assert found[:, 0].mean() == pytest.approx(1.3, rel=0.01)
+    assert found[:, 1].mean() == pytest.approx(found[:, 0].std(), rel=0.06)
+    share, error = ratio(np.array([1.0]), np.array([2.0]))
+    assert share == 0.5
+    assert math.isnan(error)
+
+
+@pytest.mark.parametrize(
+    ("off_plane", "error", "expected"),
+    [
+        (0.009, 0.009, "a tenth"),
+        (0.009, 0.059, "the bound"),
+        (0.047, 0.009, "the bound"),
+        (0.049, 0.009, "missed"),
+        (0.009, 0.061, "missed"),
+    ],
+)
+def test_a_row_must_reach_a_tenth_or_the_bound_in_both(off_plane, error, expected):
+    row = Row(
+        off_plane=off_plane,
+        off_plane_bound=0.04,
+        error=error,
+        error_bound=0.05,
+        likeliest=0.05,
+        told=0.05,
+        largest=0.2,
+        seconds=1.0,
+    )
+    assert verdict(row, 0.01) == expected
