@@ -92,6 +92,10 @@ def measure(
     overlay: Annotated[
         Path | None, typer.Option(metavar="F.png", help="Draw what was found on the shot.")
     ] = None,
+    residuals: Annotated[
+        Path | None,
+        typer.Option(metavar="F.png", help="Draw what the exact streak leaves unexplained."),
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Measure the ball of one shot: position, direction, speed and path, each with its uncertainty.
@@ -100,13 +104,15 @@ def measure(
     exposure time position and direction are measured, but no speed.
     """
     check_ending("--overlay", overlay, ".png")
-    check_outputs({"--out": out, "--overlay": overlay}, [shot])
+    check_ending("--residuals", residuals, ".png")
+    results = {"--out": out, "--overlay": overlay, "--residuals": residuals}
+    check_outputs(results, [shot])
     options = parse_settings(set_ or [])
     colours = parse_colours(ball_colour or [])
     corner_and_size = _roi(roi)
 
     from toolkit.measurement import Measurement
-    from toolkit.report import summarise, write_overlay
+    from toolkit.report import summarise, write_overlay, write_residuals
     from toolkit.shot import DEFAULT_STAGE, load_shot, measure_shot, refuse_shot
 
     try:
@@ -133,7 +139,7 @@ def measure(
         # no file yet: which ones were read, and must not be replaced, is not known
         _hand_out(Measurement.refused(str(error)), None, json)
         raise
-    check_outputs({"--out": out, "--overlay": overlay}, loaded.files)
+    check_outputs(results, loaded.files)
     try:
         measurement = measure_shot(loaded)
     except (StreakError, BadOutputError) as error:
@@ -144,6 +150,8 @@ def measure(
     _hand_out(measurement, out, json)
     if not json:
         typer.echo(summarise(measurement))
+    if residuals is not None:  # last, since there may be none where contours stood in
+        write_residuals(residuals, loaded.image, measurement)
 
 
 def _hand_out(measurement: "Measurement", out: Path | None, json: bool) -> None:

@@ -39,7 +39,7 @@ def draw_overlay(image: LinearImage, measurement: Measurement) -> Picture:
     Returns:
         sRGB picture [H, W, 3] of 8 bits, R first; the shot's brightness is stretched to be seen.
     """
-    picture = _visible(image)
+    picture = visible(image)
     pen = max(1, round(max(image.width, image.height) / REFERENCE_SIZE))
     contours = measurement.contours
     if contours is not None:
@@ -48,8 +48,8 @@ def draw_overlay(image: LinearImage, measurement: Measurement) -> Picture:
         if measurement.speed_upper_m_s is None:  # else it may have stood still, without any axis
             is_open = measurement.sign is None or measurement.sign.ambiguous
             _draw_axis(picture, contours, pen, arrow=not is_open)
-        _draw_line(picture, np.array(contours.left), CONTOUR, pen)
-        _draw_line(picture, np.array(contours.right), CONTOUR, pen)
+        draw_line(picture, np.array(contours.left), CONTOUR, pen)
+        draw_line(picture, np.array(contours.right), CONTOUR, pen)
     return picture
 
 
@@ -59,7 +59,7 @@ def write_overlay(path: Path, image: LinearImage, measurement: Measurement) -> N
     Raises:
         EnvironmentFault: when the place cannot be written.
     """
-    _write(path, draw_overlay(image, measurement))
+    write_picture(path, draw_overlay(image, measurement))
 
 
 def draw_disc(image: LinearImage, disc: Disc) -> Picture:
@@ -72,14 +72,14 @@ def draw_disc(image: LinearImage, disc: Disc) -> Picture:
     Returns:
         sRGB picture [H, W, 3] of 8 bits, R first; its brightness is stretched to be seen.
     """
-    picture = _visible(image)
+    picture = visible(image)
     pen = max(1, round(max(image.width, image.height) / REFERENCE_SIZE))
     angle = np.linspace(0, 2 * np.pi, 361)
     outline = torch.from_numpy(np.stack([np.cos(angle), np.sin(angle)], axis=-1))
-    _draw_line(picture, disc.from_unit(outline).numpy(), CONTOUR, pen)
+    draw_line(picture, disc.from_unit(outline).numpy(), CONTOUR, pen)
     arms = np.array([[[-4, 0], [4, 0]], [[0, -4], [0, 4]]], dtype=float) * pen
     for arm in arms:
-        _draw_line(picture, np.array(disc.centre) + arm, AXIS, pen)
+        draw_line(picture, np.array(disc.centre) + arm, AXIS, pen)
     return picture
 
 
@@ -89,16 +89,17 @@ def write_disc_overlay(path: Path, image: LinearImage, disc: Disc) -> None:
     Raises:
         EnvironmentFault: when the place cannot be written.
     """
-    _write(path, draw_disc(image, disc))
+    write_picture(path, draw_disc(image, disc))
 
 
-def _write(path: Path, picture: Picture) -> None:
+def write_picture(path: Path, picture: Picture) -> None:
+    """Write a picture as a PNG, whole or not at all."""
     _, encoded = cv2.imencode(".png", picture[..., ::-1])
     with write_whole(path) as temporary:
         temporary.write_bytes(encoded.tobytes())
 
 
-def _visible(image: LinearImage) -> Picture:
+def visible(image: LinearImage) -> Picture:
     """Turn light into sRGB with the 99.5th percentile bright, never darker than it was."""
     light = image.rgb[0].permute(1, 2, 0).cpu().numpy()
     gain = max(1.0, BRIGHTEST / max(float(np.percentile(light[::4, ::4], 99.5)), 1e-3))
@@ -119,7 +120,7 @@ def _draw_profiles(
     width = float(np.nanmedian(profiles.half_width_px)) if np.isfinite(reach).any() else 0.0
     step = _stride(centre, max(PROFILE_SPACING * pen, width / 2))
     for flag, line in zip(profiles.flags[::step], ends[::step], strict=True):
-        _draw_line(picture, line, GOOD_PROFILE if flag == 0 else LEFT_OUT_PROFILE, pen)
+        draw_line(picture, line, GOOD_PROFILE if flag == 0 else LEFT_OUT_PROFILE, pen)
 
 
 def _stride(centre: NDArray[Any], spacing: float) -> int:
@@ -147,17 +148,18 @@ def _middle(contours: ContourPoints) -> NDArray[Any]:
 def _draw_axis(picture: Picture, contours: ContourPoints, pen: int, *, arrow: bool) -> None:
     """Draw the axis, with an arrow head where the sign of the motion is settled."""
     axis = _middle(contours)
-    _draw_line(picture, axis, AXIS, pen)
+    draw_line(picture, axis, AXIS, pen)
     if arrow:
         step = axis[-1] - axis[-2]
         back = axis[-1] - step / max(float(np.linalg.norm(step)), 1e-9) * 14 * pen
         side = np.array([-step[1], step[0]]) / max(float(np.linalg.norm(step)), 1e-9) * 7 * pen
-        _draw_line(picture, np.array([back - side, axis[-1], back + side]), AXIS, pen)
+        draw_line(picture, np.array([back - side, axis[-1], back + side]), AXIS, pen)
 
 
-def _draw_line(
+def draw_line(
     picture: Picture, points: NDArray[Any] | Sequence[Any], colour: Colour, pen: int
 ) -> None:
+    """Draw a line through points [N, 2] px, unless they are not finite or too far away."""
     points = np.asarray(points, dtype=float)
     # far outside the picture OpenCV's fixed-point coordinates would wrap round
     if len(points) < 2 or not np.isfinite(points).all() or np.abs(points).max() > 1e6:

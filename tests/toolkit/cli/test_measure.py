@@ -85,7 +85,13 @@ def test_each_stage_prints_and_draws_its_own(tmp_path, capsys):
         seen[stage] = Measurement.from_json(capsys.readouterr().out)
         assert seen[stage].stage == stage
         assert (cv2.imread(str(overlay)) != cv2.imread(str(folder / "shot.png"))).any()
-    assert main(["measure", str(folder / "shot.png")]) == 0
+    residuals = tmp_path / "residuals.png"
+    words = ["measure", str(folder / "shot.png"), "--residuals", str(residuals)]
+    assert main([*words, "--stage", "contours"]) == 2
+    assert "leaves no residuals to draw" in capsys.readouterr().err
+    assert not residuals.exists()
+    assert main(words) == 0
+    assert cv2.imread(str(residuals)).size
     text = capsys.readouterr().out
     assert "stage sweep" in text
     assert "settled by readout, odds" in text
@@ -148,6 +154,8 @@ def test_missing_inputs_are_one_line_and_2(folder, capsys):
         (["--roi", "1,2,3"], 2, "--roi is '1,2,3'; 4 values"),
         (["--ball-colour", "red"], 2, "--ball-colour is 'red'; 3 values"),
         (["--overlay", "o.jpg"], 2, "must end in .png"),
+        (["--residuals", "r.jpg"], 2, "--residuals is r.jpg; its name must end in .png"),
+        (["--residuals", "o.png", "--out", "./o.png"], 2, "as --out is; choose another name"),
         (["--overlay", "no/o.png"], 2, "there is no folder no; make it"),
         (["--overlay", "o.png", "--out", "./o.png"], 2, "as --out is; choose another name"),
         (["--ball-colour", "0.1,0.2,0.3"], 2, "2 ball colours are given, but estimator 'uniform'"),
