@@ -9,7 +9,9 @@ unknown:
 - shifted: the background's picture is shifted by 0.3 px;
 - brighter: the background's picture is 3 % brighter;
 - jpeg: both pictures went through an 8-bit sRGB JPEG of quality 90, colours at half resolution;
-- gamma: both were decoded with an exponent that is 5 % too large.
+- gamma: both were decoded with an exponent that is 5 % too large;
+- holes: a ball with holes over 15 to 25 % of it, up to 3 turns, lit from one side (`holed_balls`);
+- holes, known: the same, measured with the mean colour of its plain material in that light.
 
     python benchmarks/sweep_violations.py [--shots N] [--clean N] [--kind text ...] [--workers 2]
 
@@ -39,6 +41,7 @@ import cv2
 import numpy as np
 import simplejpeg
 import torch
+from holed_balls import holed, without_holes
 from numpy.typing import NDArray
 from sweep_scenes import draw_scene, facts, render
 from sweep_score import Row, column, gist, in_processes, load_rows, save_rows, score
@@ -47,7 +50,7 @@ from torch import Tensor
 from plugins.uniform import Uniform
 from toolkit import LinearImage
 from toolkit.imaging import read_image
-from toolkit.synthetic import RenderedShot, Scene
+from toolkit.synthetic import RenderedShot, Scene, mean_colour
 from toolkit.synthetic.backgrounds import Colour
 from toolkit.synthetic.paths import Vector, turned
 from toolkit.synthetic.render import expose_sensor
@@ -107,6 +110,8 @@ class Pictures:
     shot: RenderedShot
     image: LinearImage
     background: LinearImage
+    colour: Colour | None = None
+    """Of the ball, where it is told."""
 
 
 Draw = Callable[[Scene, int], RenderedShot]
@@ -195,6 +200,19 @@ def gamma(scene: Scene, seed: int, draw: Draw) -> Pictures:
     return Pictures(shot=shot, image=image, background=background)
 
 
+def holes(scene: Scene, seed: int, draw: Draw) -> Pictures:
+    """Pierce the ball, spin it and light it from one side."""
+    ball = holed(scene, np.random.default_rng([seed, 36]))
+    return clean(replace(scene, appearance=ball), seed, draw)
+
+
+def holes_known(scene: Scene, seed: int, draw: Draw) -> Pictures:
+    """Do the same, and tell the colour of the material."""
+    seen = holes(scene, seed, draw)
+    plain = without_holes(seen.shot.scene.appearance)
+    return replace(seen, colour=mean_colour(plain, scene.exposure, instants=1))
+
+
 VIOLATIONS: dict[str, Callable[[Scene, int, Draw], Pictures]] = {
     "clean": clean,
     "text": text,
@@ -204,6 +222,8 @@ VIOLATIONS: dict[str, Callable[[Scene, int, Draw], Pictures]] = {
     "brighter": brighter,
     "jpeg": jpeg,
     "gamma": gamma,
+    "holes": holes,
+    "holes, known": holes_known,
 }
 
 
@@ -244,7 +264,8 @@ def run_shot(seed: int, *, name: str, cache: Path | None) -> Row:
     """Render, spoil and measure the seed's shot."""
     seen = VIOLATIONS[name](draw_scene(seed), seed, partial(render, cache=cache))
     row = {"violation": name, "seed": seed, **facts(seen.shot)}
-    return row | score(seen.shot, Uniform(), image=seen.image, background=seen.background)
+    estimator = Uniform(colour=seen.colour)
+    return row | score(seen.shot, estimator, image=seen.image, background=seen.background)
 
 
 def report(rows: list[Row]) -> str:
