@@ -6,6 +6,7 @@ element's answer never depends on its neighbours in the batch.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -88,43 +89,69 @@ def minimise_equations(
     tolerance: float = 1e-6,
 ) -> Solution:
     """Do the same for a problem that gives its normal equations itself, without its Jacobian."""
-    x = start.clone()
-    active = torch.arange(len(x), device=x.device)
-    lower = _expanded(lower, -torch.inf, x)
-    upper = _expanded(upper, torch.inf, x)
-    cost, gradient, information = equations(x, active)
-    damping = torch.full_like(cost, FIRST_DAMPING)
+    active = torch.arange(len(start), device=start.device)
+    lower = _expanded(lower, -torch.inf, start)
+    upper = _expanded(upper, torch.inf, start)
+    here = _Point(start, *equations(start, active))
+    found = _Point(*(value.clone() for value in here))
+    damping = torch.full_like(here.cost, FIRST_DAMPING)
     iteration = 0
     while iteration < max_iterations and len(active):
         iteration += 1
-        old, old_information = x[active], information[active]
-        diagonal = old_information.diagonal(dim1=-2, dim2=-1).clamp_min(TINY)
-        system = old_information + torch.diag_embed(damping[active, None] * diagonal)
-        candidate = old + _solve(system, -gradient[active])
-        candidate = torch.minimum(torch.maximum(candidate, lower[active]), upper[active])
-        trial_cost, trial_gradient, trial_information = equations(candidate, active)
-        is_better = trial_cost <= cost[active]  # False for NaN
-        improved = active[is_better]
-        x[improved] = candidate[is_better]
-        cost[improved] = trial_cost[is_better]
-        gradient[improved] = trial_gradient[is_better]
-        information[improved] = trial_information[is_better]
-        damping[active] = torch.where(
-            is_better, damping[active] * 0.1, (damping[active] * 10).clamp_min(1.0)
-        ).clamp(1e-9, 1e9)
+        diagonal = here.information.diagonal(dim1=-2, dim2=-1).clamp_min(TINY)
+        system = here.information + torch.diag_embed(damping[:, None] * diagonal)
+        x = (here.x + _solve(system, -here.gradient)).clamp(lower, upper)
+        there = _Point(x, *equations(x, active))
+        is_better = there.cost <= here.cost  # False for NaN
         # a tiny step ends the search even when rejected: then only rounding stands in the way
-        is_small = ((candidate - old).abs() <= tolerance * diagonal.rsqrt()).all(-1)
-        active = active[~is_small]
-    converged = torch.ones_like(cost, dtype=torch.bool)
+        is_small = ((x - here.x).abs() <= tolerance * diagonal.rsqrt()).all(-1)
+        here = here.replaced(there, is_better)
+        damping = torch.where(is_better, 0.1 * damping, (10 * damping).clamp_min(1.0))
+        damping = damping.clamp(1e-9, 1e9)
+        if bool(is_small.any()) or iteration == max_iterations:
+            found.write(here, active)
+            left = (~is_small).nonzero()[:, 0]
+            here = here.chosen(left)
+            active, damping, lower, upper = (v[left] for v in (active, damping, lower, upper))
+    converged = torch.ones_like(found.cost, dtype=torch.bool)
     converged[active] = False
     return Solution(
-        parameters=x,
-        cost=cost,
-        gradient=gradient,
-        information=information,
+        parameters=found.x,
+        cost=found.cost,
+        gradient=found.gradient,
+        information=found.information,
         converged=converged,
         iterations=iteration,
     )
+
+
+class _Point(NamedTuple):
+    """Where the search of A elements stands."""
+
+    x: Tensor  # [A, K]
+    cost: Tensor  # [A]
+    gradient: Tensor  # [A, K]
+    information: Tensor  # [A, K, K]
+
+    def replaced(self, other: "_Point", where: Tensor) -> "_Point":
+        """Take another point for the elements marked [A]."""
+        if bool(where.all()):
+            return other
+        return _Point(
+            torch.where(where[:, None], other.x, self.x),
+            torch.where(where, other.cost, self.cost),
+            torch.where(where[:, None], other.gradient, self.gradient),
+            torch.where(where[:, None, None], other.information, self.information),
+        )
+
+    def chosen(self, rows: Tensor) -> "_Point":
+        """Keep the elements with these indices."""
+        return _Point(*(value[rows] for value in self))
+
+    def write(self, other: "_Point", rows: Tensor) -> None:
+        """Set the elements with these indices."""
+        for mine, value in zip(self, other, strict=True):
+            mine[rows] = value
 
 
 def solve_information(information: Tensor, right: Tensor, damping: float = 0.0) -> Tensor:
@@ -192,7 +219,9 @@ def _normal_equations(
 def _solve(system: Tensor, right: Tensor) -> Tensor:
     """Solve symmetric positive systems; no step for those that cannot be factorised."""
     factor, failed = torch.linalg.cholesky_ex(system)
-    usable = (failed == 0) & torch.isfinite(system).all(-1).all(-1)
+    usable = (failed == 0) & torch.isfinite(system.sum((-1, -2)))
+    if bool(usable.all()):
+        return torch.cholesky_solve(right[..., None], factor)[..., 0]
     identity = torch.eye(system.shape[-1], dtype=system.dtype, device=system.device)
     factor = torch.where(usable[:, None, None], factor, identity)
     solution = torch.cholesky_solve(torch.where(usable[:, None], right, 0)[..., None], factor)

@@ -197,8 +197,9 @@ class ProfileModel:
     def _at(self, x: Tensor, rows: Tensor, blur: Tensor) -> "_Evaluated":
         # indexing copies: while every profile is still searched for, a slice does
         chosen = slice(None) if len(rows) == len(self.pixels.offset) else rows
-        own_blur = blur.repeat_interleave(len(self.pixels.offset) // len(blur))[chosen][:, None]
-        own_blur = own_blur.to(PRECISION)
+        own_blur = blur.to(PRECISION)[:, None]
+        if len(blur) > 1:
+            own_blur = own_blur.repeat_interleave(len(self.pixels.offset) // len(blur), 0)[chosen]
         centre, half_width, opacity, skew = x[:, None, :].to(PRECISION).unbind(-1)
         offset = self.pixels.offset[chosen]
         bend = self.skew_mean[rows][:, None].to(PRECISION) if self.is_bent else None

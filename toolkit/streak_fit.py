@@ -33,10 +33,12 @@ PROFILES = 24
 """To a half width, but never closer than one px: closer ones say no more together."""
 FIRST_LOOK = 8
 """The same in the first look, about."""
-FIRST_ITERATIONS = 7
+FIRST_ITERATIONS = 5
 """Most steps in the first look: what has not settled then is hardly a semi-ellipse."""
+FIRST_TOLERANCE = 0.5
+"""Standard deviations of a step that ends a profile's search there: it leads on much nearer."""
 START_TOLERANCE = 0.2
-"""Standard deviations to which profiles are searched: the refinement needs no better start."""
+"""The same where profiles are laid closer: the refinement needs no better start."""
 REFINEMENTS = (2, 6)
 """Rounds in which profiles are fitted about the smooth course of all of them: least and most."""
 BLUR_SETTLED = 0.03
@@ -191,7 +193,7 @@ def _fit_as_seen(
             estimator,
             half_width=half_width,
             skew=skew,
-            tolerance=START_TOLERANCE,
+            tolerance=FIRST_TOLERANCE if before is None else START_TOLERANCE,
             blur_rounds=1,  # what is noisy one by one looks sharper than it is
             max_iterations=FIRST_ITERATIONS if before is None else MAX_ITERATIONS,
             start=start,

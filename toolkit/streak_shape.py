@@ -64,7 +64,7 @@ def regions(found: Mask, faint: Mask, min_area: int) -> Iterator[Region]:
     for region in _regions(found[area], faint[area], min_area):
         mask = np.zeros_like(found)
         mask[area] = region.mask
-        yield replace(region, mask=mask, axis=region.axis + (left, top))
+        yield replace(region, mask=mask, axis=np.add(region.axis, (left, top)))
 
 
 def _regions(found: Mask, faint: Mask, min_area: int) -> Iterator[Region]:
