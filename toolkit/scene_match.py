@@ -71,7 +71,7 @@ def check_same_scene(image: LinearImage, background: LinearImage, reduced_by: in
     factor *= reduced_by
     smooth_shot, smooth_ground = _smooth(shot), _smooth(ground)
     slope = _slope(smooth_ground)
-    steepness = cv2.magnitude(*slope).ravel()
+    steepness = np.asarray(cv2.magnitude(*slope), np.float32).ravel()
     steep = _steepest(ground, steepness)
     if len(steep) < MIN_STEEP:
         return
@@ -148,5 +148,5 @@ def _shift(shot: Map, ground: Map, steep: Places, change: float) -> tuple[float,
         return None
     move = np.array([[1, 0, x], [0, 1, y]])
     moved = cv2.warpAffine(ground, move, ground.shape[::-1], borderMode=cv2.BORDER_REPLICATE)
-    left = _change(_smooth(shot), _smooth(moved), steep)
+    left = _change(_smooth(shot), _smooth(np.asarray(moved, np.float32)), steep)
     return (x, y) if left < REMAINDER * change else None
