@@ -34,8 +34,6 @@ FINE, COARSE = 12.0, 7.0
 """Squares to the half width: where the path is chosen, and where a rough start is bettered."""
 LARGEST_SQUARE = 6
 """px, where the path is chosen."""
-INNER, LARGEST_INNER = 8.0, 12
-"""Squares to the half width far inside the streak in the end, and px of the largest of them."""
 STRAY = 0.35
 """Half widths by which a richer path may leave the one that some profiles told at first."""
 MISFIT = 1.5
@@ -106,11 +104,9 @@ def most_likely_motion(frame: Frame, model: SweepModel, start: Start) -> SweepFi
         if _gain(fit, trial) < EVIDENCE * (trial.model.path.size - fit.model.path.size):
             break
         fit = trial
-    if fine == 1:
-        return fit
-    inner = min(LARGEST_INNER, int(half_width / INNER))
-    contrast = _contrast(fit)
-    return fit_sweep(fit.model, fit.parameters, frame, doubt=1.0, inner=inner, contrast=contrast)
+    if fine > 1:
+        fit = fit_sweep(fit.model, fit.parameters, frame, doubt=1.0, contrast=_contrast(fit))
+    return fit
 
 
 def _contrast(fit: SweepFit) -> float:

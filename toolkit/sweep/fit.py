@@ -7,9 +7,11 @@ import torch
 from torch import Tensor
 
 from toolkit.least_squares import invert_information
+from toolkit.sweep.inside import far_from_rims
 from toolkit.sweep.likelihood import Comparison, compare
 from toolkit.sweep.model import SweepModel
 from toolkit.sweep.pixels import Frame, StreakPixels
+from toolkit.sweep.squares import Squares
 
 MAX_STEPS = 40
 SETTLED = 0.05
@@ -23,6 +25,8 @@ LARGEST_SPREAD = 9.0
 """px^2, of lens and pixel; the pixel's own area counts for 1/12."""
 MOST_PIXELS = 400_000
 """Compared one by one; of a larger streak squares are, which lose next to nothing there."""
+WIDE, WIDEST = 8.0, 8
+"""Squares to the half width far inside the streak, and px of the largest of them."""
 PATH_POINTS = 33
 SPAN_STEPS = 12
 LONGEST_DELAY = 3.0
@@ -65,8 +69,7 @@ def fit_sweep(
     *,
     side: int = 1,
     doubt: float = 0.0,
-    inner: int = 1,
-    contrast: float = 0.0,
+    contrast: float | None = None,
     most_steps: int | None = None,
 ) -> SweepFit:
     """Find the most likely parameters, all pixels compared or squares of them.
@@ -77,15 +80,16 @@ def fit_sweep(
         frame: the window about the streak.
         side: of the squares, px.
         doubt: px by which the start may be off.
-        inner: side of the squares far inside the streak, where single pixels are compared, px.
-        contrast: of ball and ground, light.
+        contrast: of ball and ground, light. Where it is told, and single pixels are compared, larger
+            squares stand for those far inside the streak, which lose next to nothing.
         most_steps: after which the search gives up.
     """
     path_px, half_width = outline(model, start)
     side = max(side, _least_side(path_px, half_width))
-    pixels = frame.about(
-        path_px, half_width, side=side, doubt=doubt, inner=max(inner, side), contrast=contrast
-    )
+    wide = None
+    if side == 1 and contrast is not None and not model.row_delay:
+        wide = _wide_squares(model, start, frame, doubt, contrast)
+    pixels = frame.about(path_px, half_width, side=side, doubt=doubt, wide=wide)
     # how the lens mixes rim and ground hangs so little on the path that the start tells it
     covered = model.opacity(start, pixels)
     slope = model.opacity_slope(start, pixels, covered)
@@ -143,6 +147,21 @@ def _least_side(path_px: Tensor, half_width: Tensor) -> int:
     steps = (path_px[1:] - path_px[:-1]).square().sum(-1).sqrt()
     area = ((half_width[1:] + half_width[:-1]) * steps).sum() + math.pi * half_width.max() ** 2
     return math.ceil(math.sqrt(float(area) / MOST_PIXELS))
+
+
+def _wide_squares(
+    model: SweepModel, x: Tensor, frame: Frame, doubt: float, contrast: float
+) -> Squares | None:
+    """Find squares that stand for their pixels: far from the ball's rims, before an even ground."""
+    path_px, half_width = outline(model, x)
+    side = min(WIDEST, int(float(half_width.min()) / WIDE))
+    if side < 2:
+        return None
+    squares = frame.even_squares(path_px, half_width, side, contrast)
+    if not len(squares):
+        return None
+    margin = side / math.sqrt(2) + doubt
+    return squares[far_from_rims(model, x, frame.rays(squares), margin)]
 
 
 def outline(model: SweepModel, x: Tensor) -> tuple[Tensor, Tensor]:

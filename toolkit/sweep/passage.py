@@ -13,6 +13,8 @@ from toolkit.sweep.rays import Rays
 
 REACH = 6.0
 """Standard deviations of the spread beyond the contour up to which a pixel sees the ball."""
+STRAIGHT = 1e-12
+"""Bend of an arc over its way from which it counts: less comes from rounding alone."""
 GUESSES = 9
 """Instants from which the one of closest approach is searched on a bent arc."""
 NEWTON_STEPS = 4
@@ -59,7 +61,8 @@ def find_passage(
     """
     a0, a1, a2 = arc @ rays.unit
     c = arc @ arc.mT
-    if bool((arc[2] == 0).all()):
+    is_straight = float(arc[2].abs().max()) <= STRAIGHT * float(arc[1].abs().max())
+    if is_straight:
         A = (c[1, 1] - a1 * a1).clamp_min(SLACKEST * float(c[1, 1]))
         t = (a0 * a1 - c[0, 1]) / A
         f = c[0, 0] - a0 * a0 - A * t * t
@@ -97,7 +100,7 @@ def find_passage(
     # u . (C x C'), which is the same for C and C' at any time of a straight arc
     c01 = torch.linalg.cross(arc[0], arc[1])
     side = c01 @ unit
-    if bool((arc[2] != 0).any()):
+    if not is_straight:
         c02 = torch.linalg.cross(arc[0], arc[2])
         c12 = torch.linalg.cross(arc[1], arc[2])
         side = side + t * (2 * (c02 @ unit) + t * (c12 @ unit))

@@ -25,8 +25,6 @@ OUTLIER = 3.5
 """Standard deviations beyond which such a pixel's difference counts linearly."""
 BESIDE_SIDE = 2
 """px along the side of the squares in which these are summed up, at least."""
-INSET = 2.0
-"""px beyond its side by which a square must lie inside the streak for its pixels to be averaged."""
 LARGEST = 1e30
 """Finite variance in place of an infinite one."""
 EVEN = 0.05
@@ -159,68 +157,81 @@ class Frame:
         *,
         side: int = 1,
         doubt: float = 0.0,
-        inner: int = 1,
-        contrast: float = 0.0,
+        wide: Squares | None = None,
     ) -> StreakPixels:
         """Take the pixels about a path in the picture.
-
-        Far inside the streak the opacity changes so evenly that squares of pixels tell as much.
 
         Args:
             path_px: points of the path [T, 2] px.
             half_width: of the ball's image at each of them [T], or at all, px.
             side: of the squares whose pixels are averaged.
             doubt: px by which the path and the half width may be off.
-            inner: side of those far inside the streak, px, where single pixels are taken elsewhere.
-            contrast: of ball and ground, light; where the ground varies nearly as much no square
-                stands for its pixels.
+            wide: larger squares that stand for their pixels, where single pixels are taken.
         """
-        middle = path_px.numpy() - np.array(self.corner, dtype=np.float64)
-        size = np.broadcast_to(np.asarray(half_width, dtype=np.float64), len(middle))
-        reach = size + ROOM + doubt
-        near = self._band(middle, reach, side)
-        groups = []
-        if inner > side == 1:
-            deep = self._deep(middle, size - doubt, inner, contrast)
-            near.reshape(-1)[deep.index().numpy()] = 0
-            groups.append(self._read(deep))
-        groups.insert(0, self._read(self._squares(near, side)))
+        reach = np.asarray(half_width, dtype=np.float64) + ROOM + doubt
+        near = self._band(path_px, reach, side)
         coarse = max(side, BESIDE_SIDE)
-        ring = self._band(middle, reach + BESIDE * size + 8, coarse)
-        ring[self._band(middle, reach, coarse) > 0] = 0
-        place = torch.cat([g.squares.place for g in groups]) + torch.tensor(self.corner)
+        ring = self._band(path_px, reach + BESIDE * np.asarray(half_width) + 8, coarse)
+        ring[self._band(path_px, reach, coarse) > 0] = 0
+        groups = []
+        if wide is not None:
+            near.reshape(-1)[wide.index().numpy()] = 0
+            groups.append(self._read(wide))
+        groups.insert(0, self._read(self._squares(near, side)))
         signal, ground, shot, empty = (
             torch.cat(maps, dim=-1) for maps in zip(*(g.maps for g in groups), strict=True)
         )
+        squares = tuple(g.squares for g in groups)
+        slopes = [each.slope(self.ground) for each in squares]
         return StreakPixels(
-            squares=tuple(g.squares for g in groups),
-            place=place,
-            rays=find_rays(self.camera, place, torch.cat([g.squares.blur for g in groups])),
+            squares=squares,
+            place=torch.cat([self._place(each) for each in squares]),
+            rays=self.rays(*squares),
             signal=signal,
             ground=ground,
             shot_variance=shot,
             ground_variance=empty,
-            ground_slope=torch.cat([g.squares.slope(self.ground) for g in groups], dim=-1).double(),
+            ground_slope=torch.cat(slopes, dim=-1).double(),
             mixed=torch.zeros_like(signal),
             beside=Beside.of(*self._read(self._squares(ring, coarse)).maps),
             excess=self.excess,
         )
 
-    def _band(self, middle: Array, reach: Array, side: int) -> NDArray[np.uint8]:
-        """Mark all squares of the window within reach [T] of a line [T, 2], px."""
+    def even_squares(
+        self, path_px: Tensor, half_width: Tensor, side: int, contrast: float
+    ) -> Squares:
+        """Find the squares about a path that are all measured, before an even ground.
+
+        Args:
+            path_px: points of the path [T, 2] px.
+            half_width: of the ball's image at each of them [T], px.
+            side: of the squares, px.
+            contrast: of ball and ground, light, against which the ground must not vary.
+        """
+        squares = self._squares(self._band(path_px, half_width.numpy() - side, side), side)
+        used, ground = squares.pick(self.measured, self.ground)
+        varies = ((ground * ground).mean(1) - ground.mean(1) ** 2).sum(0)
+        return squares[(used.amin(1).amin(0) > 0) & (varies < EVEN * contrast**2)]
+
+    def rays(self, *squares: Squares) -> Rays:
+        """Give the rays of squares of several sizes, one after another."""
+        place = torch.cat([self._place(each) for each in squares])
+        return find_rays(self.camera, place, torch.cat([each.blur for each in squares]))
+
+    def _place(self, squares: Squares) -> Tensor:
+        """Give the middles of squares in the picture [M, 2] px."""
+        return squares.place + torch.tensor(self.corner)
+
+    def _band(self, path_px: Tensor, reach: Array, side: int) -> NDArray[np.uint8]:
+        """Mark all squares of the window within reach [T] of a path [T, 2], px."""
         height, width = self.usable.shape
-        return _band((middle + 0.5) / side - 0.5, reach / side + 1, height // side, width // side)
+        middle = (path_px.numpy() - np.array(self.corner) + 0.5) / side - 0.5
+        reach = np.broadcast_to(reach / side + 1, len(middle))
+        return _band(middle, reach, height // side, width // side)
 
     def _squares(self, mask: NDArray[np.uint8], side: int) -> Squares:
         height, width = self.usable.shape
         return Squares.of(mask, side, (height, width))
-
-    def _deep(self, middle: Array, size: Array, side: int, contrast: float) -> Squares:
-        """Find the squares far inside the streak, all measured and before an even ground."""
-        squares = self._squares(self._band(middle, size - INSET - 2 * side, side), side)
-        used, ground = squares.pick(self.measured, self.ground)
-        varies = ((ground * ground).mean(1) - ground.mean(1) ** 2).sum(0)
-        return squares[(used.amin(1).amin(0) > 0) & (varies < EVEN * contrast**2)]
 
     def _read(self, squares: Squares) -> "_Reading":
         """Average what squares show, over the pixels where something was measured."""

@@ -52,7 +52,7 @@ def find_rays(camera: Camera, place: Tensor, blur: Tensor | None = None) -> Rays
         for a, b, n in zip(low, high, counts, strict=True)
     )
     grid = torch.stack(torch.meshgrid(x, y, indexing="xy"), dim=-1)
-    rays, J = camera.unproject(grid), camera.J_unproject(grid)
+    rays, J = camera.unproject_and_J(grid)
     fine = _interpolated(torch.cat([rays, J.mT.flatten(-2)], dim=-1), (place - low) / (high - low))
     unit, right, down = fine.reshape(3, 3, -1)
     for _ in range(MOST_STEPS):

@@ -7,6 +7,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+LARGE = 3
+"""px of a square that tells by itself how an image changes across it."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Squares:
@@ -59,16 +62,18 @@ class Squares:
         flat = index.flatten()
         # several times faster than to index by a matrix
         picked = (image.flatten(1).index_select(1, flat) for image in images)
-        return [values.reshape(-1, *index.shape) for values in picked]
+        return [values.reshape(len(values), *index.shape) for values in picked]
 
     def slope(self, image: Tensor) -> Tensor:
-        """Give the change of an image [Q, H, W] across each square and a border, per px [2, Q, M].
+        """Give the change of an image [Q, H, W] across each square, per px [2, Q, M].
 
-        It is that of the plane nearest to them, to the right and downwards.
+        It is that of the plane nearest to its pixels, to the right and downwards; a small square
+        takes those about it as well.
         """
-        count = self.side + 2
+        border = 1 if self.side < LARGE else 0
+        count = self.side + 2 * border
         steps = torch.arange(count, dtype=image.dtype) - (count - 1) / 2
         right = steps.repeat(count) / (count * (steps * steps).sum())
         down = right.reshape(count, count).mT.flatten()
-        (values,) = self.pick(image, border=1)
+        (values,) = self.pick(image, border=border)
         return torch.stack([kernel @ values for kernel in (right, down)])
