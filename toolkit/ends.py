@@ -11,13 +11,16 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator, Chord
 from toolkit.axis_curve import Curve, nearest_parameter
 from toolkit.camera import Camera
 from toolkit.errors import StreakError
+from toolkit.ranks import ranked_value
 from toolkit.types import ProfileFit
 
 CAP_REACH = 1.6
@@ -37,6 +40,7 @@ LOST_END = (
     "check background and ball colour, or name a region that holds the whole streak"
 )
 
+Array = NDArray[np.float64]
 Clock = Callable[[Tensor], Tensor]
 """Parameter along the streak to share of the exposure, rising."""
 
@@ -69,10 +73,12 @@ def rough_ends(fit: ProfileFit, picture: int = 0) -> tuple[float, float]:
     Returns:
         Positions in px, of the same axis as the profiles'.
     """
-    position, opacity = fit.position[picture], _median_filtered(fit.opacity[picture])
-    half_width = float(fit.half_width[picture][opacity > opacity.max() / 2].median())
+    position, opacity = fit.position[picture].numpy(), fit.opacity[picture].numpy()
+    padded = np.pad(opacity, 3, mode="edge")
+    opacity = ranked_value(np.lib.stride_tricks.sliding_window_view(padded, 7))
+    half_width = _median(fit.half_width[picture].numpy()[opacity > opacity.max() / 2])
     first = _half_rise(position, opacity, half_width)
-    last = -_half_rise(-position.flip(0), opacity.flip(0), half_width)
+    last = -_half_rise(-position[::-1], opacity[::-1], half_width)
     return first, last
 
 
@@ -319,23 +325,23 @@ def _rays_and_nearest(
     return torch.nn.functional.normalize(values[:, :3], dim=-1), values[:, 3]
 
 
-def _median_filtered(values: Tensor) -> Tensor:
-    padded = torch.cat([values[:1].repeat(3), values, values[-1:].repeat(3)])
-    return padded.unfold(0, 7, 1).median(-1).values
+def _median(values: Array) -> float:
+    """Give the middle value, the lower one of two."""
+    middle = (len(values) - 1) // 2
+    return float(np.partition(values, middle)[middle])
 
 
-def _half_rise(position: Tensor, opacity: Tensor, half_width: float) -> float:
+def _half_rise(position: Array, opacity: Array, half_width: float) -> float:
     """Position at which the opacity first reaches half of its plateau beyond."""
-    plateau = float(opacity.quantile(0.7))
+    plateau = float(ranked_value(opacity, 0.7))
     found = float(position[0])
     for _ in range(3):
         above = opacity >= plateau / 2
         # a stray profile ahead of the streak does not count: the next few must follow
         steady = above[:-4] & above[1:-3] & above[2:-2] & above[3:-1] & above[4:]
-        index = int(steady.to(torch.int8).argmax()) if bool(steady.any()) else 0
-        found = float(position[index])
+        found = float(position[steady.argmax() if steady.any() else 0])
         beyond = (position >= found + half_width) & (position <= found + 2.5 * half_width)
-        if not bool(beyond.any()):
+        if not beyond.any():
             break
-        plateau = float(opacity[beyond].median())
+        plateau = _median(opacity[beyond])
     return found

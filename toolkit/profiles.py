@@ -147,12 +147,25 @@ class _Slots:
 def _assign(
     size: tuple[int, int], origin: Array, normal: Array, reach: float, every: int
 ) -> _Slots:
-    """Give every pixel of a window (height, width) near the axis to its nearest profile."""
-    spacing = max(float(np.hypot(*np.diff(origin, axis=0).T).mean()), 1e-9)
-    near, profile = _rough_neighbours(size, origin, reach, spacing)
-    y, x = (values.astype(np.float64) for values in np.divmod(near, size[1]))
-    last, frame = len(origin) - 1, np.ascontiguousarray(np.concatenate([origin, normal], axis=1).T)
+    """Give every pixel of a window (height, width) near the axis to its nearest profile.
+
+    Profiles keep their breadth where only one of so many is laid, and what lies between is left.
+    """
+    breadth = max(float(np.hypot(*np.diff(origin, axis=0).T).mean()), 1e-9)
+    origin, normal = origin[::every], normal[::every]
+    spacing, last = every * breadth, len(origin) - 1
+    frame = np.ascontiguousarray(np.concatenate([origin, normal], axis=1).T)
+    x, y, profile = _rough_neighbours(size, origin, reach, spacing)
     along, offset = _from_profile(x, y, frame, profile)
+    if every > 1:
+        steps = np.rint(along / spacing)
+        # by so much may the axis' turn change where it lies from the next profile
+        turn = float(np.hypot(*np.diff(normal, axis=0).T).max(initial=0))
+        slack = turn * np.abs(steps) * (np.abs(offset) + spacing)
+        may_be_taken = (np.abs(offset) <= reach + slack) & (
+            np.abs(along - steps * spacing) <= breadth / 2 + slack
+        )
+        x, y, profile, along, offset = (v[may_be_taken] for v in (x, y, profile, along, offset))
     for _ in range(MAX_ROUNDS):
         nearer = (profile + np.rint(along / spacing).astype(np.intp)).clip(0, last)
         moved = np.nonzero(nearer != profile)[0]
@@ -161,21 +174,18 @@ def _assign(
         profile[moved] = nearer[moved]
         along[moved], offset[moved] = _from_profile(x[moved], y[moved], frame, profile[moved])
     # what lies beyond the first or the last profile belongs to none
-    room = np.where((profile == 0) | (profile == last), spacing / 2, spacing)
-    is_taken = (np.abs(offset) <= reach) & (np.abs(along) <= room)
-    if every > 1:
-        is_taken &= profile % every == 0
-    kept = last // every + 1
-    chosen = np.nonzero(is_taken)[0]
+    is_outer = (profile == 0) | (profile == last) | (every > 1)
+    room = np.where(is_outer, breadth / 2, breadth)
+    chosen = np.nonzero((np.abs(offset) <= reach) & (np.abs(along) <= room))[0]
     # numbers of 16 bits are sorted by their digits
-    number = (profile[chosen] // every).astype(np.uint16 if kept < 1 << 16 else np.intp)
+    number = profile[chosen].astype(np.uint16 if last < 1 << 16 else np.intp)
     order = np.argsort(number, kind="stable")
     chosen, row = chosen[order], number[order].astype(np.intp)
-    sizes = np.bincount(row, minlength=kept)
+    sizes = np.bincount(row, minlength=last + 1)
     place = np.arange(len(row)) - (np.cumsum(sizes) - sizes)[row]
-    shape = (kept, max(int(sizes.max()), 1))
+    shape = (last + 1, max(int(sizes.max()), 1))
     pixel_table = np.full(shape, -1)
-    pixel_table[row, place] = near[chosen]
+    pixel_table[row, place] = y[chosen].astype(np.intp) * size[1] + x[chosen].astype(np.intp)
     offset_table = np.zeros(shape)
     offset_table[row, place] = offset[chosen]
     return _Slots(pixel=torch.from_numpy(pixel_table), offset=torch.from_numpy(offset_table))
@@ -186,15 +196,15 @@ def _from_profile(x: Array, y: Array, frame: Array, profile: Indices) -> tuple[A
 
     The frame holds x and y of all origins and of all normals, [4, P].
     """
-    origin_x, origin_y, normal_x, normal_y = (values[profile] for values in frame)
+    origin_x, origin_y, normal_x, normal_y = (values.take(profile) for values in frame)
     right, down = x - origin_x, y - origin_y
     return right * normal_y - down * normal_x, right * normal_x + down * normal_y
 
 
 def _rough_neighbours(
     size: tuple[int, int], origin: Array, reach: float, spacing: float
-) -> tuple[Indices, Indices]:
-    """Index the pixels of a window that may lie within reach of the axis, and a profile near each.
+) -> tuple[Array, Array, Indices]:
+    """Give the pixels (x, y) of a window that may lie within reach of the axis, and profiles near.
 
     Whole blocks of them are looked at, since their distances to all profiles take the longest.
     """
@@ -206,10 +216,10 @@ def _rough_neighbours(
     nearest = squared.argmin(-1)
     distance = np.sqrt(np.take_along_axis(squared, nearest[..., None], -1)[..., 0])
     # a block's corner is 0.7 blocks from its middle, a place on the axis half one from an origin
-    nearest[distance > reach + 1.3 * COARSE] = -1
-    fine = nearest.repeat(COARSE, 0).repeat(COARSE, 1)[:height, :width].ravel()
-    near = np.nonzero(fine >= 0)[0]
-    return near, stride * fine[near]
+    nearest[distance > reach + 0.8 * COARSE + stride * spacing / 2] = -1
+    fine = nearest.repeat(COARSE, 1).repeat(COARSE, 0)[:height, :width]
+    rows, columns = np.nonzero(fine >= 0)
+    return columns.astype(np.float64), rows.astype(np.float64), stride * fine[rows, columns]
 
 
 def _pad(table: Tensor, count: int) -> Tensor:

@@ -105,7 +105,12 @@ def refit_axis(
 
 def along_axis(fit: ProfileFit, camera: Camera) -> Tensor:
     """Give the arc length of the profiles' origins as an ideal lens would show it [P] px."""
-    ideal = camera.undistort(fit.origin[0]) * ((camera.fx + camera.fy) / 2)
+    return ideal_length(camera.undistort(fit.origin[0]), camera)
+
+
+def ideal_length(normalised: Tensor, camera: Camera) -> Tensor:
+    """Give the length along normalised points [P, 2], in px of an ideal lens."""
+    ideal = normalised * ((camera.fx + camera.fy) / 2)
     steps = torch.linalg.vector_norm(ideal.diff(dim=0), dim=-1)
     return torch.cat([steps.new_zeros(1), steps.cumsum(0)])
 
@@ -115,11 +120,16 @@ def middle_points(fit: ProfileFit) -> Tensor:
     return torch.where(fit.good[0][:, None], fit.middle[0], fit.origin[0])
 
 
+def edge_points(fit: ProfileFit) -> Tensor:
+    """Edges of the good profiles, origins of the others [P, 2, 2] px: a lens can invert both."""
+    return torch.where(fit.good[0][:, None, None], fit.edges[0], fit.origin[0][:, None])
+
+
 def edges_of(fit: ProfileFit, s: Tensor) -> Edges:
     """Gather what the path is found from, at parameters s [P] along it."""
     return Edges(
         s=s,
-        pixels=torch.where(fit.good[0][:, None, None], fit.edges[0], fit.origin[0][:, None]),
+        pixels=edge_points(fit),
         normal=fit.normal[0],
         covariance=fit.covariance[0, :, :2, :2],
         weight=fit.good[0].to(torch.float64),

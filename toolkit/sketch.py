@@ -13,9 +13,8 @@ from toolkit.camera import Camera
 from toolkit.contours import length_in_widths, smooth_parameters
 from toolkit.ends import rough_ends
 from toolkit.errors import StreakError
-from toolkit.following import opacity_data
-from toolkit.motion import RATE_SIZES, Motion, describe_motion, fit_pace
-from toolkit.reconstruction import along_axis, edges_of, middle_points
+from toolkit.motion import RATE_SIZES, Motion, OpacityData, describe_motion, fit_pace
+from toolkit.reconstruction import edge_points, ideal_length, middle_points
 from toolkit.splines import SIZES, up_to
 from toolkit.types import ProfileFit
 
@@ -34,8 +33,18 @@ def sketch_motion(fit: ProfileFit, camera: Camera, ball_radius: float) -> Motion
     Raises:
         StreakError: when the profiles are those of no ball in front of the camera.
     """
-    opacity = opacity_data(fit, along_axis(fit, camera), camera)
-    curve = _sketch_curve(fit, opacity.s, camera, ball_radius)
+    # all at once: a lens is inverted in many small steps
+    places = [fit.origin[0], middle_points(fit), *edge_points(fit).unbind(1)]
+    rays = camera.unproject(torch.stack(places))
+    normalised = rays[..., :2] / rays[..., 2:]
+    opacity = OpacityData(
+        s=ideal_length(normalised[0], camera),
+        rays=rays[1],
+        opacity=fit.opacity[0],
+        covariance=fit.covariance[0],
+        weight=fit.good[0].to(torch.float64),
+    )
+    curve = _sketch_curve(fit, opacity, normalised[1], rays[2:], camera, ball_radius)
     pace_sizes = up_to(1 + length_in_widths(fit) / 1.5, RATE_SIZES)
     pace = fit_pace(curve, opacity, ball_radius, pace_sizes)
     at, position = opacity.s.numpy(), fit.position[0].numpy()
@@ -57,24 +66,39 @@ def smooth_edges(fit: ProfileFit) -> Tensor:
     return fit.origin[0, good, None] + offset[..., None] * fit.normal[0, good, None]
 
 
-def _sketch_curve(fit: ProfileFit, s: Tensor, camera: Camera, ball_radius: float) -> AxisCurve:
-    """Draw the path with an inverse depth that is linear along the streak; s is the profiles'."""
-    edges = edges_of(fit, s)
-    left, right = camera.unproject(edges.pixels).unbind(1)
+def _sketch_curve(
+    fit: ProfileFit,
+    seen: OpacityData,
+    middle: Tensor,
+    sides: Tensor,
+    camera: Camera,
+    ball_radius: float,
+) -> AxisCurve:
+    """Draw the path with an inverse depth that is linear along the streak.
+
+    Args:
+        fit: of one picture.
+        seen: where the profiles lie along the streak, and how much each counts.
+        middle: their middles in normalised coordinates [P, 2].
+        sides: rays of their left and right edges [2, P, 3].
+        camera: of the shot.
+        ball_radius: m.
+    """
+    left, right = sides
     both = left + right
     half_angle = torch.atan2(_length(right - left), _length(both))
     depth = ball_radius / half_angle.sin() * both[:, 2] / _length(both)
-    good = edges.weight > 0
+    good = fit.good[0]
     depth = torch.where(good, depth, depth[good].median())
     variance = fit.covariance[0]
     focal = (camera.fx + camera.fy) / 2
     return start_curve(
-        camera.undistort(middle_points(fit)),
-        s,
-        edges.weight * focal**2 / variance[:, 0, 0],
+        middle,
+        seen.s,
+        seen.weight * focal**2 / variance[:, 0, 0],
         depth,
         # of the inverse depth, which goes with the half width
-        edges.weight * (depth * fit.half_width[0]) ** 2 / variance[:, 1, 1],
+        seen.weight * (depth * fit.half_width[0]) ** 2 / variance[:, 1, 1],
         up_to(3 + length_in_widths(fit), SIZES),
     )
 
