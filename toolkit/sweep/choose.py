@@ -154,7 +154,9 @@ def _shaded_if_asked(fit: SweepFit, frame: Frame, side: int) -> SweepFit:
     shaded = replace(model, shade_std=SHADE_STD * bright)
     trial = _with_shade(shaded, model.estimator, fit, frame, side)
     new = trial.model.unknowns - model.unknowns
-    return trial if trial.converged and _gain(fit, trial) > EVIDENCE * new else fit
+    # what the rest of the streak misses alike is what such a shade is there for, at least in part
+    gain = _saved(fit, trial) / max(look_for_misfit(trial).pixels, 1.0)
+    return trial if trial.converged and gain > EVIDENCE * new else fit
 
 
 def finer_shade(fit: SweepFit, frame: Frame) -> SweepFit | None:
@@ -248,5 +250,9 @@ def _carried(fit: SweepFit, path: SweepPath) -> Tensor:
 
 def _gain(fit: SweepFit, trial: SweepFit) -> float:
     """Chi-square that another fit saves on the same pixels, in units of the misfit that stays."""
-    other = compare(fit.model, fit.parameters, trial.pixels)
-    return (other.cost - trial.seen.cost) / look_for_misfit(trial).factor
+    return _saved(fit, trial) / look_for_misfit(trial).factor
+
+
+def _saved(fit: SweepFit, trial: SweepFit) -> float:
+    """Chi-square that another fit saves on the same pixels."""
+    return compare(fit.model, fit.parameters, trial.pixels).cost - trial.seen.cost

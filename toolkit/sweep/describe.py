@@ -31,8 +31,10 @@ from toolkit.result import (
     with_speed,
 )
 from toolkit.sweep.doubt import motion_of
+from toolkit.sweep.explain import explain_misfit, explain_shade, other_colour
 from toolkit.sweep.fit import SweepFit
 from toolkit.sweep.linearity import Linearity
+from toolkit.sweep.marks import MarkedFit
 from toolkit.sweep.misfit import Misfit
 from toolkit.sweep.opacity import PIXEL_VARIANCE
 from toolkit.sweep.shade import Shaded
@@ -54,6 +56,7 @@ class SweepResult:
     linearity: Linearity
     uncertainty: Uncertainty
     sign: Sign | None = None  # where the readout tells something about it
+    marked: MarkedFit | None = None  # the same fit, where marks on the ball were allowed for
     still_below: SpeedLimit | None = None  # the ball may have stood still
     delay: float = 0.0  # s by which the ball's own row was exposed later than the first
 
@@ -138,15 +141,16 @@ def _bound(found: SweepResult, exposure: float | None) -> Bound:
 def _summary(found: SweepResult) -> FitSummary:
     fit, misfit = found.fit, found.misfit
     _, spread, appearance, _, _ = fit.model.split(fit.parameters)
+    place, sigma = misfit.patch_place, misfit.patch_sigma
+    if found.marked is not None:
+        place, sigma = found.marked.residuals
     return FitSummary(
         chi2_per_dof=misfit.pixels * fit.pixels.excess,
         pixels=int((fit.seen.residual != 0).sum()),
         iterations=fit.iterations,
         appearance=numbers(appearance) if len(appearance) else None,
         blur_px=math.sqrt(max(float(spread) - PIXEL_VARIANCE, 0.0)),
-        residuals=ResidualMap(
-            place_px=numbers(misfit.patch_place), sigma=numbers(misfit.patch_sigma)
-        ),
+        residuals=ResidualMap(place_px=numbers(place), sigma=numbers(sigma)),
     )
 
 
@@ -154,7 +158,7 @@ def _cautions(
     found: SweepResult, motion: Motion, exposure: float | None, drift: Tensor
 ) -> tuple[Caution, ...]:
     fit, misfit = found.fit, found.misfit
-    single = misfit.pixels * fit.pixels.excess
+    single, brighter = misfit.pixels * fit.pixels.excess, other_colour(fit, misfit.factor)
     checks: list[Check] = [
         (
             exposure is None,
@@ -181,18 +185,27 @@ def _cautions(
         (
             isinstance(fit.model.estimator, Shaded),
             "shade-fitted",
-            "the ball is shaded, which its estimator knows nothing of; a smooth shade was fitted, "
-            "and the uncertainties are widened by what a less smooth one would change; "
-            "known-shading or two-colour may suit the ball better",
+            f"the ball is shaded{explain_shade(fit)}, which its estimator knows nothing of; a "
+            "smooth shade was fitted, and the uncertainties are widened by what a less smooth one "
+            "would change; known-shading or two-colour may suit the ball better",
         ),
         (
-            misfit.significant or single > WARNED_MISFIT,
+            brighter is not None,
+            "other-colour",
+            f"the ball shows another colour than the one it is known by, {_percent(brighter)} all "
+            "over (marks on it, other light, another ball); its colour was found from the streak "
+            "instead, and the uncertainties are those of a colour that nobody knows",
+        ),
+        (
+            found.marked is not None,
+            "marks-fitted",
+            "the ball is not of one smooth colour: marks on it were fitted with all else, and the "
+            "uncertainties say what they may have changed",
+        ),
+        (
+            found.marked is not None or misfit.significant or single > WARNED_MISFIT,
             "streak-misfit",
-            "the streak differs from that of such a ball by more than noise: "
-            f"{single:.2f} times its variance in single pixels, {misfit.patches:.1f} in "
-            f"patches of what is left, {misfit.lanes:.1f} along the whole streak (shading, a "
-            "pattern, a changed background, a wrong colour or response, compression); "
-            "the uncertainties are widened",
+            _misfit_text(found),
         ),
         (
             found.linearity.is_doubted,
@@ -205,6 +218,25 @@ def _cautions(
         light_check(drift),
     ]
     return due(checks)
+
+
+def _misfit_text(found: SweepResult) -> str:
+    """Say how much and what the streak of a plain ball leaves unexplained."""
+    misfit, single = found.misfit, found.misfit.pixels * found.fit.pixels.excess
+    if found.marked is not None:
+        misfit, single = found.marked.before, found.marked.fit.pixels.excess
+    return (
+        "the streak differs from that of such a ball by more than noise: "
+        f"{single:.2f} times its variance in single pixels, {misfit.patches:.1f} in patches of "
+        f"what is left, {misfit.lanes:.1f} along the whole streak "
+        f"({explain_misfit(found.fit, found.marked)}); the uncertainties are widened"
+    )
+
+
+def _percent(brighter: float | None) -> str:
+    if brighter is None:
+        return ""
+    return f"by {abs(brighter):.0%} {'brighter' if brighter > 0 else 'darker'}"
 
 
 def _size(change: float) -> str:

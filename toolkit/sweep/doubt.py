@@ -58,8 +58,8 @@ def sweep_uncertainty(
     Args:
         fit: the most likely motion.
         misfit: widens what comes from noise.
-        finer: the same with a less smooth shade, where one was fitted: what it changes is taken for
-            one standard deviation.
+        finer: the same with a less smooth shade, or other marks, where such were fitted: what it
+            changes is taken for one standard deviation.
         ball_radius_std: m.
         exposure_std_share: standard deviation of the exposure over itself.
         response_changes: of signal less ground behind alpha [M, Q, N], for one standard deviation

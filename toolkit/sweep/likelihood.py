@@ -36,8 +36,14 @@ class Comparison:
     residual: Tensor  # [Q, N] in standard deviations; 0 where nothing was measured
     coverage: Coverage
     contrast: Tensor  # [Q, N] of ball and background, over the standard deviation
+    light: Tensor  # [Q, N] of the ball before each pixel, over the standard deviation
     J: tuple[Tensor, ...]  # for each channel [P_q, N], whitened
     columns: tuple[Tensor, ...]  # for each channel the parameters [P_q] these belong to
+
+    @property
+    def weight(self) -> Tensor:
+        """Root of what each pixel counts for [Q, N], less than 1 where it is far off."""
+        return (HUBER / self.residual.abs().clamp_min(HUBER)).sqrt()
 
     @property
     def pull(self) -> Tensor:
@@ -131,16 +137,20 @@ def compare(
     if isinstance(model.estimator, Shaded):
         last = slice(shared - model.estimator.shades, shared)
         cost += _add_shade_prior(gradient, information, x[last], last, model.shade_std)
-    return Comparison(
+    found = Comparison(
         cost=cost,
         gradient=gradient,
         information=information,
         residual=z,
         coverage=covered,
         contrast=contrast * precision.sqrt(),
+        light=alpha * ball.colour * precision.sqrt(),
         J=tuple(whitened),
         columns=tuple(columns),
     )
+    if model.cells is None:
+        return found
+    return model.cells.freed(found)
 
 
 def _channel_J(

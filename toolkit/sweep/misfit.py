@@ -17,6 +17,8 @@ from toolkit.sweep.likelihood import Comparison
 
 PATCH = 8
 """px along the side of a patch: that of a block of JPEG."""
+SMALLEST, MOST_PATCHES = 2, 800
+"""px along the side of a small patch, of which there are about so many at most."""
 LANES = 24
 """Across the streak, over its whole length: what all of it misses alike."""
 CHANCE = 3.5
@@ -77,23 +79,19 @@ def look_for_misfit(fit: SweepFit) -> Misfit:
     patches = _mean_square(sigma)
     by_lane = _mean_square(lanes)
     single = mean_square(seen)
-    is_patchy = _is_beyond_chance(patches, len(sigma))
-    is_common = _is_beyond_chance(by_lane, len(lanes))
+    # variances that were raised to the misfit before a shade was fitted hide what is left
+    is_patchy = _is_beyond_chance(patches / min(single, 1.0), len(sigma))
+    is_common = _is_beyond_chance(by_lane / min(single, 1.0), len(lanes))
     factor = max(single, 1.0)
     if is_patchy:
         factor = max(factor, patches)
     if is_common:
         factor = max(factor, by_lane)
-    counts = torch.bincount(inverse, minlength=len(sigma)).double().clamp_min(1)
-    middle = torch.stack(
-        [torch.bincount(inverse, weights=p, minlength=len(sigma)) / counts for p in place[used].mT],
-        dim=-1,
-    )
     return Misfit(
         pixels=single,
         patches=patches,
         lanes=by_lane,
-        patch_place=middle,
+        patch_place=_middles(place[used], inverse, len(sigma)),
         patch_sigma=sigma,
         factor=factor,
         is_patchy=is_patchy,
@@ -120,8 +118,38 @@ def with_coarse_misfit(misfit: Misfit, fit: SweepFit) -> Misfit:
         side *= 2
 
 
+def beside_excess(fit: SweepFit) -> float:
+    """Give the mean squared misfit of patches that the ball never covers, 1 where only noise is."""
+    index = (fit.seen.coverage.alpha <= COVERED).nonzero()[:, 0]
+    residual = fit.seen.residual[:, index]
+    used = (residual != 0).sum(0).double()
+    sigma, _, _ = _patch_sigmas(_cell(fit.pixels.place[index], PATCH), residual.sum(0), used)
+    return _mean_square(sigma) * fit.pixels.excess
+
+
+def small_patches(fit: SweepFit) -> tuple[Tensor, Tensor]:
+    """Give places [B, 2] px of patches as small as can be told apart, and their misfit [B]."""
+    index = (fit.seen.coverage.alpha > COVERED).nonzero()[:, 0]
+    place = fit.pixels.place[index]
+    side = max(SMALLEST, math.ceil(math.sqrt(len(index) / MOST_PATCHES)))
+    sigma, used, inverse = _patch_sigmas(
+        _cell(place, side), fit.seen.pull[index], fit.seen.hold[index]
+    )
+    return _middles(place[used], inverse, len(sigma)), sigma
+
+
+def _middles(place: Tensor, inverse: Tensor, count: int) -> Tensor:
+    """Give the mean place of the pixels in each patch [B, 2]."""
+    counts = torch.bincount(inverse, minlength=count).double().clamp_min(1)
+    return torch.stack(
+        [torch.bincount(inverse, weights=p, minlength=count) / counts for p in place.mT], dim=-1
+    )
+
+
 def _cell(place: Tensor, side: int) -> Tensor:
     """Number the squares that hold the places [N, 2] px."""
+    if not len(place):
+        return torch.zeros(0, dtype=torch.long)
     cell = (place / side).floor().long()
     cell = cell - cell.amin(0)
     return cell[:, 1] * (int(cell[:, 0].max()) + 1) + cell[:, 0]

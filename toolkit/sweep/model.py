@@ -12,6 +12,7 @@ from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator
 from toolkit.camera import Camera
+from toolkit.sweep.cells import Cells
 from toolkit.sweep.chord_table import STEEPEST
 from toolkit.sweep.colours import (
     NARROW,
@@ -44,6 +45,7 @@ class SweepModel:
     camera: Camera
     ball_radius: float
     shade_std: float = 0.0  # prior of each number of a shade, light; 0 where there is none
+    cells: Cells | None = None  # of the pixels compared, where marks on the ball are allowed for
     row_delay: float = 0.0  # exposures from one row to the next
     middle_row: float = 0.0  # whose exposure runs from -1/2 to 1/2
 

@@ -9,12 +9,13 @@ from toolkit.alpha import AlphaEstimator
 from toolkit.camera import Camera
 from toolkit.errors import StreakError
 from toolkit.measurement import Alternative, Sign, numbers
-from toolkit.sweep.choose import Start, finer_shade, most_likely_motion, strays
+from toolkit.sweep.choose import COLOURS, Start, finer_shade, most_likely_motion, strays
 from toolkit.sweep.describe import SweepResult
 from toolkit.sweep.doubt import motion_of, sweep_uncertainty
-from toolkit.sweep.fit import SweepFit, outline
+from toolkit.sweep.fit import LARGEST_SPREAD, SweepFit, outline
 from toolkit.sweep.likelihood import compare
 from toolkit.sweep.linearity import judge_linearity, response_changes
+from toolkit.sweep.marks import STRONGEST, MarkedFit, fit_with_marks
 from toolkit.sweep.misfit import Misfit, look_for_misfit, with_coarse_misfit
 from toolkit.sweep.model import SweepModel
 from toolkit.sweep.paths import STRAIGHT
@@ -27,6 +28,8 @@ UNEXPLAINED = 10.0
 """Squared misfit over noise from which the exact image is not that of the ball."""
 OTHER_COLOUR = 20.0
 """Squared misfit of all the streak alike, over that of its pixels, of another colour than known."""
+SOFTEST = 0.95 * LARGEST_SPREAD
+"""px^2, of lens and pixel: what is softer is no rim of a ball."""
 STRAYED = 0.5
 """Half widths by which the likeliest path may leave the one that some profiles told at first."""
 DECIDED = 0.99
@@ -96,12 +99,22 @@ def refine(
             "measure with --stage contours, or name a region that holds the whole streak"
         )
     misfit = with_coarse_misfit(look_for_misfit(fit), fit)
-    _check_explained(fit, misfit, start)
     linearity = judge_linearity(view, fit, misfit.factor)
+    still_below = speed_limit(fit, misfit) if looks_still(fit, misfit) else None
+    marked = None
+    if misfit.significant and still_below is None and _is_light(fit.model):
+        marked = fit_with_marks(fit, frame)
+    if marked is None:
+        _check_explained(fit, misfit, start)
+        finer = finer_shade(fit, frame)
+    else:
+        _check_marks(marked)
+        fit, misfit, finer = marked.fit, marked.left, marked.other
+        _check_explained(fit, misfit, start)
     uncertainty = sweep_uncertainty(
         fit,
         misfit,
-        finer=finer_shade(fit, frame),
+        finer=finer,
         ball_radius_std=ball_radius_std,
         exposure_std_share=exposure_std_share,
         response_changes=response_changes(view, estimator, frame, fit, linearity),
@@ -109,12 +122,28 @@ def refine(
     return SweepResult(
         fit=fit,
         misfit=misfit,
+        marked=marked,
         linearity=linearity,
         uncertainty=uncertainty,
         sign=sign,
-        still_below=speed_limit(fit, misfit) if looks_still(fit, misfit) else None,
+        still_below=still_below,
         delay=shutter.delay_of(middle_row),
     )
+
+
+def _is_light(model: SweepModel) -> bool:
+    """Say whether the signal is light, that marks on the ball change."""
+    return model.channels >= COLOURS
+
+
+def _check_marks(marked: MarkedFit) -> None:
+    """Raise `StreakError` where even with marks on it no ball explains the streak."""
+    spread = float(marked.fit.parameters[marked.fit.model.path.size])
+    if not marked.fit.converged or spread > SOFTEST or marked.marks.strength >= STRONGEST:
+        raise StreakError(
+            "not even a ball with marks on it explains the streak: its rim or its light is too "
+            "uneven; another estimator may suit the ball, and --estimator auto tries all"
+        )
 
 
 def _check_explained(fit: SweepFit, misfit: Misfit, start: Start) -> None:
@@ -126,7 +155,7 @@ def _check_explained(fit: SweepFit, misfit: Misfit, start: Start) -> None:
             "(a pattern, light that changes along the path, a changed background); another "
             "estimator may suit the ball, and --estimator auto tries all"
         )
-    if misfit.lanes > OTHER_COLOUR and _has_known_colour(fit.model):
+    if misfit.lanes > OTHER_COLOUR and _shows_known_colour(fit.model):
         raise StreakError(
             "the ball does not show the one colour it is known by: all of the streak misses it "
             f"alike, by {misfit.lanes:.0f} times what single pixels tell; take its colour where it "
@@ -140,10 +169,12 @@ def _check_explained(fit: SweepFit, misfit: Misfit, start: Start) -> None:
         )
 
 
-def _has_known_colour(model: SweepModel) -> bool:
-    """Say whether the ball shows one colour, but for a shade that was fitted, and it was given."""
-    shades = model.estimator.shades if isinstance(model.estimator, Shaded) else 0
-    return (model.is_plain or model.is_laned) and model.unknowns == shades
+def _shows_known_colour(model: SweepModel) -> bool:
+    """Say whether the ball was held to one colour that was given, with a shade over it or not."""
+    ball = model.estimator
+    if not isinstance(ball, Shaded):
+        return model.is_plain and not model.unknowns
+    return model.is_laned and model.unknowns == ball.shades and not ball.is_recoloured
 
 
 def _both_ways(

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator, Chord, Observation
+from toolkit.sweep.colours import is_plain
 from toolkit.types import LinearImage, NoiseModel
 
 
@@ -22,19 +23,32 @@ class Shaded(AlphaEstimator):
     estimator: AlphaEstimator
     channels: int
     powers: tuple[int, ...] = (1, 2)
-    """Of the chord's offset: the first leans, the second darkens or lights both rims."""
+    """Of the chord's offset: 0 is another colour, 1 leans, 2 darkens or lights both rims."""
 
     @staticmethod
     def powers_above(estimator: AlphaEstimator) -> tuple[int, ...]:
-        """Give the next two powers that an estimator's shade leaves out."""
-        first = estimator.powers[-1] + 1 if isinstance(estimator, Shaded) else 1
-        return (first, first + 1)
+        """Give the next two powers that an estimator's shade leaves out.
+
+        A ball that is not shaded as it is known to be does not show the one colour either that it
+        is known by: the mean light differs as well, or there are marks on it.
+        """
+        if isinstance(estimator, Shaded):
+            first = estimator.powers[-1] + 1
+            return (first, first + 1)
+        is_known = is_plain(estimator) and not estimator.unknowns()
+        return (0, 1, 2) if is_known else (1, 2)
 
     @property
     def innermost(self) -> AlphaEstimator:
         """The ball below all shades."""
         below = self.estimator
         return below.innermost if isinstance(below, Shaded) else below
+
+    @property
+    def is_recoloured(self) -> bool:
+        """Whether the ball shows another colour than the one it is known by."""
+        below = self.estimator
+        return 0 in self.powers or (isinstance(below, Shaded) and below.is_recoloured)
 
     @property
     def shades(self) -> int:
@@ -81,7 +95,8 @@ class Shaded(AlphaEstimator):
         shade, change = torch.zeros_like(like), torch.zeros_like(like)
         rows = appearance[self.estimator.unknowns() :].to(like)
         for power, row in zip(self.powers, rows.reshape(len(self.powers), -1), strict=True):
-            even = 1 / (power + 1) if power % 2 == 0 else 0.0
+            even = 1 / (power + 1) if power and power % 2 == 0 else 0.0
             shade = shade + row * (s**power - even)
-            change = change + row * power * s ** (power - 1)
+            if power:
+                change = change + row * power * s ** (power - 1)
         return shade, change

@@ -9,7 +9,9 @@ from plugins.uniform import Uniform
 from toolkit import StreakError
 from toolkit.sweep import fit as sweep_fit
 from toolkit.sweep import refine as sweep_refine
+from toolkit.sweep.explain import other_colour
 from toolkit.sweep.refine import Shutter, refine
+from toolkit.sweep.shade import Shaded
 from toolkit.synthetic import StraightPath
 from toolkit.view import observe_streak
 
@@ -138,12 +140,38 @@ def test_a_path_that_leaves_its_profiles_is_refused(plain):
     assert found.fit.converged
 
 
+def true_state(seen, displacement):
+    """Position and travel [6], the way that was found."""
+    first, middle, last = seen.points(3)
+    travel = last - first
+    return torch.cat([middle, travel * torch.sign(travel @ displacement)])
+
+
 @pytest.mark.parametrize("share", [0.8, 1.2])
-def test_a_ball_of_another_colour_than_known_is_refused(streak, share):
-    """A fifth too dark or too bright: a shade and a wrong distance would explain most of it."""
+def test_a_ball_of_another_colour_than_known_is_measured_by_its_own(streak, share):
+    """Too dark or too bright: a shade and a wrong distance would explain most of it."""
     seen = streak(width_px=60, length_widths=2.0)
-    colour = tuple(share * channel for channel in seen.scene.appearance.colour)
+    true = torch.tensor(seen.scene.appearance.colour)
+    found = refined(seen, estimator=Uniform(colour=tuple((share * true).tolist())))
+    assert found.fit.model.estimator.is_recoloured
+    position, displacement = found.fit.state()
+    error = torch.cat([position, displacement]) - true_state(seen, displacement)
+    assert (error.abs() < 3.5 * found.uncertainty.total.diagonal()[:6].sqrt()).all()
+    told = other_colour(found.fit, found.misfit.factor)
+    assert told == pytest.approx(1 / share - 1, abs=0.05)
+
+
+def test_a_ball_of_quite_another_colour_than_known_is_refused(streak):
+    seen = streak(width_px=60, length_widths=2.0)
+    colour = tuple(0.5 * channel for channel in seen.scene.appearance.colour)
+    with pytest.raises(StreakError, match=r"runs away from its profiles|explains the streak"):
+        refined(seen, estimator=Uniform(colour=colour))
+
+
+def test_a_ball_that_is_held_to_another_colour_is_refused(streak, monkeypatch):
+    monkeypatch.setattr(Shaded, "powers_above", staticmethod(lambda _: (1, 2)))
+    monkeypatch.setattr(sweep_refine, "fit_with_marks", lambda *_: None)
+    seen = streak(width_px=60, length_widths=2.0)
+    colour = tuple(0.8 * channel for channel in seen.scene.appearance.colour)
     with pytest.raises(StreakError, match="does not show the one colour it is known by"):
         refined(seen, estimator=Uniform(colour=colour))
-    is_open = streak(Uniform(), width_px=60, length_widths=2.0)
-    assert refined(is_open).fit.converged

@@ -57,7 +57,7 @@ def test_it_keeps_the_unknowns_below_it():
 
 def test_a_finer_shade_takes_the_next_powers():
     base = Uniform(colour=COLOUR)
-    assert Shaded.powers_above(base) == (1, 2)
+    assert Shaded.powers_above(Uniform()) == (1, 2)
     first = Shaded(estimator=base, channels=3)
     assert Shaded.powers_above(first) == (3, 4)
     finer = Shaded(estimator=first, channels=3, powers=Shaded.powers_above(first))
@@ -67,3 +67,17 @@ def test_a_finer_shade_takes_the_next_powers():
     s = chord().offset
     change = finer.foreground(chord(), looks) - base.foreground(chord(), None)
     assert torch.allclose(change[:, 0], 0.1 * s**3)
+
+
+def test_a_ball_of_known_colour_may_show_another_once_it_is_shaded():
+    base = Uniform(colour=COLOUR)
+    assert Shaded.powers_above(base) == (0, 1, 2)
+    one = shaded(powers=(0, 1, 2))
+    assert one.is_recoloured
+    assert Shaded(estimator=one, channels=3, powers=(3, 4)).is_recoloured
+    assert not shaded().is_recoloured
+    looks = torch.tensor([0.1, -0.2, 0.05, 0, 0, 0, 0, 0, 0], dtype=torch.float64)
+    value, slope = one.foreground_and_slope(chord(), looks)
+    plain = base.foreground(chord(), None)
+    assert torch.allclose(value, plain + looks[:3])
+    assert torch.equal(slope, torch.zeros_like(slope))
