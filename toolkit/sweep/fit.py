@@ -80,8 +80,8 @@ def fit_sweep(
         frame: the window about the streak.
         side: of the squares, px.
         doubt: px by which the start may be off.
-        contrast: of ball and ground, light. Where it is told, and single pixels are compared, larger
-            squares stand for those far inside the streak, which lose next to nothing.
+        contrast: of ball and ground, light. Where it is told and single pixels are compared,
+            squares stand for those far inside the streak, which loses next to nothing.
         most_steps: after which the search gives up.
     """
     path_px, half_width = outline(model, start)

@@ -2,14 +2,19 @@
 
 Seen along a ray, the distance of the ball's centre runs through minima and maxima, and from where
 it is as the exposure begins to where it is as it ends. The opacity is smooth in the picture but
-where one of these, or a bounce, finds the ray on the ball's rim. [derived]
+where one of these, or a bounce, finds the ray on the ball's rim, and where the ball turns sharply.
+[derived]
 """
+
+import itertools
 
 import torch
 from torch import Tensor
 
 from toolkit.sweep.model import SweepModel
+from toolkit.sweep.paths import Arcs
 from toolkit.sweep.rays import Rays
+from toolkit.sweep.sharp_turns import sharp_turn
 
 INSTANTS = 33
 """At which the distance is taken, on each arc of the path."""
@@ -39,4 +44,16 @@ def far_from_rims(model: SweepModel, x: Tensor, rays: Rays, margin: float) -> Te
     is_still[1:-1] = rise[1:] * rise[:-1] <= 0
     is_still[order >= count] = True
     at_rim = (is_still & (gap.abs() < margin)).any(0)
-    return (gap.amin(0) < -margin) & ~at_rim
+    turned = (gap[_turning(arcs, time, model.ball_radius)] < margin).any(0)
+    return (gap.amin(0) < -margin) & ~at_rim & ~turned
+
+
+def _turning(arcs: Arcs, time: Tensor, ball_radius: float) -> Tensor:
+    """Say at which times [T] the path turns sharply."""
+    is_turning = torch.zeros(len(time), dtype=torch.bool)
+    bounds = [-0.5, *arcs.joints.tolist(), 0.5]
+    for arc, limits in zip(arcs.coefficients, itertools.pairwise(bounds), strict=True):
+        turn = sharp_turn(arc, *limits, ball_radius)
+        if turn is not None:
+            is_turning |= (time >= turn[0]) & (time <= turn[1])
+    return is_turning

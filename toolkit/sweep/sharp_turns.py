@@ -44,7 +44,7 @@ def opacity_parts(
         the piece is the arc itself.
     """
     low, high = float(start.min()), float(stop.max())
-    turn = _sharp_turn(arc, low, high, ball_radius)
+    turn = sharp_turn(arc, low, high, ball_radius)
     if turn is None:
         return [(arc_opacity(arc, rays, start, stop, spread, ball_radius), None)]
     parts: list[tuple[ArcOpacity, Tensor | None]] = []
@@ -102,7 +102,7 @@ def _about(
     return is_near.nonzero()[:, 0]
 
 
-def _sharp_turn(
+def sharp_turn(
     arc: Tensor, low: float, high: float, ball_radius: float
 ) -> tuple[float, float] | None:
     """Find from when to when an arc turns, where it does so sharply anywhere; else None."""
