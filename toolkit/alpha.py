@@ -146,18 +146,20 @@ class AlphaEstimator(ABC):
         return value.detach(), torch.stack(slopes, dim=-1)
 
     @final
+    def middle_colour(self, observation: Observation) -> Tensor:
+        """Give what the disc's middle would show alone, [1, Q, 1, 1]; its unknowns are settled."""
+        zero = torch.zeros(1, dtype=observation.signal.dtype)
+        colour = self.foreground(Chord(offset=zero, direction=zero), None)
+        return colour.to(observation.signal).reshape(1, -1, 1, 1)
+
+    @final
     def alpha(self, observation: Observation) -> tuple[Tensor, Tensor]:
         """Estimate the opacity of every pixel on its own and its variance, both [B, 1, H, W].
 
         The least-squares solution of the mixture with the colour of the disc's middle: exact for a
         uniform ball, an approximation good enough to find the streak for a shaded one.
         """
-        middle = Chord(
-            offset=torch.zeros(1, dtype=observation.signal.dtype),
-            direction=torch.zeros(1, dtype=observation.signal.dtype),
-        )
-        foreground = self.foreground(middle, None).to(observation.signal).reshape(1, -1, 1, 1)
-        contrast = foreground - observation.ground
+        contrast = self.middle_colour(observation) - observation.ground
         weight = contrast / observation.variance
         information = (weight * contrast).sum(1, keepdim=True).clamp_min(1e-12)
         signal = (weight * (observation.signal - observation.ground)).sum(1, keepdim=True)

@@ -195,18 +195,31 @@ def _evidence(observation: Observation, estimator: AlphaEstimator) -> tuple[Map,
     """Give opacity, its significance, and the share of the change the colour explains, [H, W]."""
     if estimator.unknowns():
         return _plain_evidence(observation)
-    alpha, variance = (values[0, 0].float().numpy() for values in estimator.alpha(observation))
-    information = 1 / np.maximum(variance, LEAST_VARIANCE)
-    change = observation.signal - observation.ground
-    energy = (change * change / observation.variance).sum(1)[0].float().numpy()
-    smooth_information = _smooth(information)
-    smooth = _smooth(alpha * information) / smooth_information.clip(1e-12)
-    std = 1 / np.sqrt(smooth_information * (4 * math.pi * SMOOTHING**2))
-    explained = smooth * smooth * smooth_information
+    colour = estimator.middle_colour(observation)[0, :, 0, 0].numpy()
+    # channel by channel, which stays in the cache
+    seen, information, energy = (np.zeros(observation.signal.shape[2:], np.float32) for _ in "123")
+    for foreground, moved, ground, spread in zip(colour, *_changes(observation), strict=True):
+        precision = 1 / np.maximum(spread, LEAST_VARIANCE)
+        contrast = foreground - ground
+        weight = contrast * precision
+        information += np.multiply(contrast, weight, out=contrast)
+        seen += np.multiply(weight, moved, out=weight)
+        precision *= moved
+        energy += np.multiply(precision, moved, out=precision)
+    seen, information, energy = _smooth(seen), _smooth(information).clip(1e-12), _smooth(energy)
+    opacity = seen / information
+    significance = seen * np.sqrt(4 * math.pi * SMOOTHING**2 / information)
+    explained = opacity * seen
     # the pixel's own noise is part of its energy, and not of what any colour could explain
-    unexplained = _smooth(energy) - observation.signal.shape[1]
-    likeness = explained / np.maximum(unexplained, explained).clip(1e-12)
-    return smooth, smooth / std, likeness
+    likeness = explained / np.maximum(energy - len(colour), explained).clip(1e-12)
+    return opacity, significance, likeness
+
+
+def _changes(observation: Observation) -> tuple[NDArray[np.float32], ...]:
+    """Give signal minus ground, ground and variance of the first picture, [Q, H, W] each."""
+    change = observation.signal - observation.ground
+    values = (change, observation.ground, observation.variance)
+    return tuple(value[0].float().numpy() for value in values)
 
 
 def _plain_evidence(observation: Observation) -> tuple[Map, Map, Map]:
@@ -214,8 +227,7 @@ def _plain_evidence(observation: Observation) -> tuple[Map, Map, Map]:
 
     The largest change is taken for half covered.
     """
-    change = (observation.signal - observation.ground)[0].float().numpy()
-    variance = observation.variance[0].float().numpy()
+    change, _, variance = _changes(observation)
     seen, energy = (np.zeros(change.shape[1:], np.float32) for _ in range(2))
     for moved, spread in zip(change, variance, strict=True):
         weight = 1 / np.maximum(spread, LEAST_VARIANCE)
