@@ -11,7 +11,7 @@ from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator
 from toolkit.camera import Camera
-from toolkit.sweep.rays import Rays, find_rays
+from toolkit.sweep.rays import RayGrid, Rays
 from toolkit.sweep.squares import Squares
 from toolkit.view import StreakView
 
@@ -216,7 +216,14 @@ class Frame:
     def rays(self, *squares: Squares) -> Rays:
         """Give the rays of squares of several sizes, one after another."""
         place = torch.cat([self._place(each) for each in squares])
-        return find_rays(self.camera, place, torch.cat([each.blur for each in squares]))
+        return self._ray_grid.rays(place, torch.cat([each.blur for each in squares]))
+
+    @cached_property
+    def _ray_grid(self) -> RayGrid:
+        height, width = self.usable.shape
+        corner = torch.tensor(self.corner, dtype=torch.float64)
+        size = torch.tensor([width, height], dtype=torch.float64)
+        return RayGrid.over(self.camera, corner, corner + size - 1)
 
     def _place(self, squares: Squares) -> Tensor:
         """Give the middles of squares in the picture [M, 2] px."""

@@ -33,36 +33,50 @@ class Rays:
         )
 
 
-def find_rays(camera: Camera, place: Tensor, blur: Tensor | None = None) -> Rays:
-    """Give the rays of pixels [N, 2] and how they change from one to the next, distortion inside.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RayGrid:
+    """Rays and how they change on a coarse grid, between whose places they are interpolated."""
 
-    The derivatives are found on a coarse grid and interpolated; with their help one step, behind a
-    wide lens two, makes the interpolated rays exact to a millionth of a px.
+    camera: Camera
+    low: Tensor  # [2] px of its first place
+    high: Tensor  # [2] px of its last
+    values: Tensor  # [Y, X, 9]: the ray, its change to the right and its change downwards
 
-    Args:
-        camera: distortion included.
-        place: px [N, 2].
-        blur: variance of places in a square beyond that in a single pixel [N], px^2; else none.
-    """
-    low, high = place.amin(0), place.amax(0) + 1e-9
-    counts = ((high - low) / COARSE).ceil().long() + 1
-    counts = counts.clamp_min(2)
-    x, y = (
-        torch.linspace(float(a), float(b), int(n), dtype=torch.float64)
-        for a, b, n in zip(low, high, counts, strict=True)
-    )
-    grid = torch.stack(torch.meshgrid(x, y, indexing="xy"), dim=-1)
-    rays, J = camera.unproject_and_J(grid)
-    fine = _interpolated(torch.cat([rays, J.mT.flatten(-2)], dim=-1), (place - low) / (high - low))
-    unit, right, down = fine.reshape(3, 3, -1)
-    for _ in range(MOST_STEPS):
-        missing = (place - camera.project(unit.mT)).mT
-        unit = unit + missing[0] * right + missing[1] * down
-        unit = unit * (unit * unit).sum(0).rsqrt()
-        if not float(missing.abs().max()) > LITTLE:
-            break
-    blur = torch.zeros_like(unit[0]) if blur is None else blur
-    return Rays(unit=unit, right=right, down=down, blur=blur)
+    @classmethod
+    def over(cls, camera: Camera, low: Tensor, high: Tensor) -> "RayGrid":
+        """Lay the grid over a part of the picture, from and to [2] px, distortion inside."""
+        high = torch.maximum(high, low + 1e-9)
+        counts = (((high - low) / COARSE).ceil().long() + 1).clamp_min(2)
+        x, y = (
+            torch.linspace(float(a), float(b), int(n), dtype=torch.float64)
+            for a, b, n in zip(low, high, counts, strict=True)
+        )
+        grid = torch.stack(torch.meshgrid(x, y, indexing="xy"), dim=-1)
+        rays, J = camera.unproject_and_J(grid)
+        return cls(
+            camera=camera, low=low, high=high, values=torch.cat([rays, J.mT.flatten(-2)], dim=-1)
+        )
+
+    def rays(self, place: Tensor, blur: Tensor | None = None) -> Rays:
+        """Give the rays of pixels.
+
+        With the help of the interpolated changes one step, behind a wide lens two, makes the
+        interpolated rays exact to a millionth of a px.
+
+        Args:
+            place: px, on the grid [N, 2].
+            blur: variance of places in a square beyond that in a single pixel [N], px^2; else none.
+        """
+        fine = _interpolated(self.values, (place - self.low) / (self.high - self.low))
+        unit, right, down = fine.reshape(3, 3, -1)
+        for _ in range(MOST_STEPS):
+            missing = (place - self.camera.project(unit.mT)).mT
+            unit = unit + missing[0] * right + missing[1] * down
+            unit = unit * (unit * unit).sum(0).rsqrt()
+            if not float(missing.abs().max()) > LITTLE:
+                break
+        blur = torch.zeros_like(unit[0]) if blur is None else blur
+        return Rays(unit=unit, right=right, down=down, blur=blur)
 
 
 def _interpolated(grid: Tensor, share: Tensor) -> Tensor:

@@ -8,6 +8,8 @@ from torch import Tensor
 
 LOW, HIGH, STEP = -6.0, 6.0, 0.01
 """Where the smoothed root is tabulated: below it is 0, above three terms of its series suffice."""
+SMALLEST = -300.0
+"""Logarithm below which a density counts as this small."""
 NODES = 256
 """Of the integral that fills the table."""
 
@@ -55,7 +57,8 @@ def soft_ramp(x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 def density(x: Tensor) -> Tensor:
     """Give the normal density."""
-    return torch.exp(-0.5 * x * x) * (1 / math.sqrt(2 * math.pi))
+    # numbers too small to be written down in full take tens of times longer
+    return torch.exp((-0.5 * x * x).clamp_min(SMALLEST)) * (1 / math.sqrt(2 * math.pi))
 
 
 @cache

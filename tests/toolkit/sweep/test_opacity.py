@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from toolkit.sweep.opacity import PIXEL_VARIANCE, arc_opacity
-from toolkit.sweep.pixels import find_rays
+from toolkit.sweep.rays import RayGrid
 from toolkit.synthetic import PlainBall, benchmark_scene, render_shot
 
 LENS = (-0.25, 0.08, 1e-3, -5e-4, 0.0)
@@ -17,6 +17,10 @@ TILTED = STRAIGHT | {"distance_R": 15.0, "tilt": math.radians(60)}
 
 
 @functools.cache
+def find_rays(camera, place):
+    return RayGrid.over(camera, place.amin(0), place.amax(0)).rays(place)
+
+
 def rendered(**options):
     """Scene, and the mean of many sharp images [H, W]: a white ball before black."""
     scene = benchmark_scene(seed=3, **(STRAIGHT | options))

@@ -9,7 +9,7 @@ import torch
 from toolkit.camera import Camera
 from toolkit.sweep.opacity import arc_opacity
 from toolkit.sweep.paths import PARABOLA
-from toolkit.sweep.pixels import find_rays
+from toolkit.sweep.rays import RayGrid
 from toolkit.sweep.sharp_turns import opacity_parts
 from toolkit.synthetic import ParabolicPath, PlainBall, benchmark_scene, render_shot
 
@@ -23,6 +23,10 @@ FLIGHTS = {  # velocity at first, and acceleration: right and down, ball radii a
 
 
 @functools.cache
+def find_rays(camera, place):
+    return RayGrid.over(camera, place.amin(0), place.amax(0)).rays(place)
+
+
 def flight(name):
     """Scene, true arc, rays, and the mean of many sharp images [N]: a white ball before black."""
     scene = benchmark_scene(width_px=30, length_widths=3.0, heading=0.0, seed=3)

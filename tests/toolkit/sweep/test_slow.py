@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from toolkit import Camera
-from toolkit.sweep.rays import find_rays
+from toolkit.sweep.rays import RayGrid
 from toolkit.sweep.slow import count_instants, slow_opacity
 from toolkit.synthetic import PlainBall, Scene, StraightPath, render_shot
 
@@ -22,7 +22,8 @@ def arc_of(velocity, distance_R=50.0, bend=(0.0, 0.0, 0.0)):
 
 def rays_of(camera):
     y, x = torch.meshgrid(torch.arange(camera.height), torch.arange(camera.width), indexing="ij")
-    return find_rays(camera, torch.stack([x.flatten(), y.flatten()], dim=-1).double())
+    place = torch.stack([x.flatten(), y.flatten()], dim=-1).double()
+    return RayGrid.over(camera, place.amin(0), place.amax(0)).rays(place)
 
 
 RAYS = rays_of(CAMERA)
