@@ -51,10 +51,25 @@ class Misfit:
 
 
 def mean_square(seen: Comparison) -> float:
-    """Give the mean squared misfit of single pixels before the ball."""
+    """Give the mean squared misfit of what was compared before the ball: pixels or squares."""
     is_used = (seen.coverage.alpha > COVERED) & (seen.residual != 0)
     used = int(is_used.sum())
     return float((seen.residual**2 * is_used).sum()) / used if used else 1.0
+
+
+def _of_single_pixels(fit: SweepFit) -> float:
+    """Give the mean squared misfit of single pixels, where squares stand for many of them too.
+
+    In a square noise averages out, and what all its pixels miss alike does not.
+    """
+    seen, pixels = fit.seen, fit.pixels
+    is_used = (seen.coverage.alpha > COVERED) & (seen.residual != 0)
+    if not bool(is_used.any()):
+        return 1.0
+    counts = torch.cat([torch.full((len(s),), float(s.side**2)) for s in pixels.squares])
+    of_noise = (counts - 1) / pixels.excess
+    total = ((seen.residual**2 + of_noise) * is_used).sum()
+    return float(total / (counts * is_used).sum())
 
 
 def bulk_excess(seen: Comparison) -> float:
@@ -88,7 +103,7 @@ def look_for_misfit(fit: SweepFit) -> Misfit:
     if is_common:
         factor = max(factor, by_lane)
     return Misfit(
-        pixels=single,
+        pixels=_of_single_pixels(fit),
         patches=patches,
         lanes=by_lane,
         patch_place=_middles(place[used], inverse, len(sigma)),

@@ -146,3 +146,21 @@ def test_specks_of_dirt_hardly_move_the_answer(streak, seed):
     # two hundred pixels of four thousand, twenty to forty standard deviations off each
     assert (gap < std * misfit.factor**0.5).all()
     assert misfit.factor > 1.2
+
+
+@pytest.mark.parametrize("excess", [1.0, 4.0])
+def test_squares_are_counted_as_the_single_pixels_they_stand_for(streak, excess):
+    """Noise alone, and broad stripes, which squares show much better."""
+    seen = streak(width_px=60, length_widths=2.0)
+    whole = seen.frame()
+    stripes = (torch.arange(whole.signal.shape[-1]) // 9 % 2) * 2 - 1
+    for strength in (0.0, 0.5):
+        light = whole.signal + strength * seen.noise * stripes
+        frame = replace(whole, signal=light).noisier(excess)
+        by_pixels, by_squares = (
+            fit_sweep(seen.model(), seen.truth(), frame, contrast=contrast)
+            for contrast in (None, 1.0)
+        )
+        assert len(by_squares.pixels.squares) == 2
+        expected = look_for_misfit(by_pixels).pixels
+        assert look_for_misfit(by_squares).pixels == pytest.approx(expected, rel=0.06)
