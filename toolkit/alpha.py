@@ -169,10 +169,8 @@ class AlphaEstimator(ABC):
 def observe_colours(image: LinearImage, background: LinearImage, noise: NoiseModel) -> Observation:
     """Observe the colours as they are; behind a mosaic, those measured and no others."""
     measured = image.measured()
-    variance = (
-        noise.variance(image.rgb, measured)
-        + noise.variance(background.rgb, measured) / background.frames
-    )
+    variance = noise.variance(image.rgb, measured)
+    variance.add_(noise.variance(background.rgb, measured), alpha=1 / background.frames)
     return Observation(signal=image.rgb, ground=background.rgb, variance=variance)
 
 

@@ -45,8 +45,8 @@ def guess_appearance(
     )
     ground = profiles.ground[0, inner]
     rest = profiles.signal[0, inner] - (1 - alpha) * ground - alpha * at_zero
-    normal = torch.einsum("psqu,psq,psqv->uv", design, weight, design)
-    values = torch.linalg.solve(normal, torch.einsum("psqu,psq,psq->u", design, weight, rest))
+    weighed = (design * weight[..., None]).flatten(0, 2).mT
+    values = torch.linalg.solve(weighed @ design.flatten(0, 2), weighed @ rest.flatten())
     contrast = (estimator.foreground(chord, values) - ground).abs() * (weight > 0)
     std = ERROR * float(contrast.sum() / (weight > 0).sum().clamp_min(1))
     return Appearance(values=values, std=max(std, 1e-6), opacity_std=ERROR)

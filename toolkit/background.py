@@ -81,8 +81,11 @@ def sample_pair(
         ignore: pixels of the ball and of whatever else moved [B, 1, H, W] bool.
         least: pixels a channel, where there are as many.
     """
+    lattices = [_lattice(image, background, channel) for channel in range(3)]
+    usable = {lattice: _usable(image, background, ignore, lattice, least) for lattice in lattices}
     red, green, blue = (
-        _channel_samples(image, background, channel, ignore, least) for channel in range(3)
+        _channel_samples(image, background, channel, lattice, usable[lattice], least)
+        for channel, lattice in enumerate(lattices)
     )
     return PairSamples(
         level=(red[0], green[0], blue[0]),
@@ -148,21 +151,36 @@ def scale_background(background: LinearImage, ratio: Tensor) -> LinearImage:
     return background.remade(background.recorded * torch.from_numpy(site), frames=frames)
 
 
+def _usable(
+    image: LinearImage,
+    background: LinearImage,
+    ignore: Tensor | None,
+    lattice: tuple[int, int, int, int],
+    least: int,
+) -> NDArray[np.bool_]:
+    """Tell which of the samples on a lattice are neither clipped nor to be ignored."""
+    sites = _sites(image, lattice, least)
+    unusable = image.clipped[0, 0][sites] | background.clipped[0, 0][sites]
+    if ignore is not None:
+        unusable = unusable | ignore[0, 0][sites]
+    return ~np.asarray(unusable.numpy())
+
+
 def _channel_samples(
-    image: LinearImage, background: LinearImage, channel: int, ignore: Tensor | None, least: int
+    image: LinearImage,
+    background: LinearImage,
+    channel: int,
+    lattice: tuple[int, int, int, int],
+    usable: NDArray[np.bool_],
+    least: int,
 ) -> tuple[Values, Values]:
-    """Mean levels and differences of one channel on an even subset of its raw samples, [N] each."""
-    if image.mosaic is not None and background.mosaic is not None and image.pattern is not None:
+    """Mean levels and differences of one channel's usable samples on a lattice, [N] each."""
+    if image.mosaic is not None and background.mosaic is not None:
         shot, ground = image.mosaic[0, 0], background.mosaic[0, 0]
-        row, column, step_y, step_x = _lattice(image.pattern, channel)
     else:
         shot, ground = image.rgb[0, channel], background.rgb[0, channel]
-        row, column, step_y, step_x = 0, 0, 1, 1
-    step = max(1, int((shot.numel() / (step_y * step_x) / least) ** 0.5))
-    sites = (slice(row, None, step_y * step), slice(column, None, step_x * step))
-    unusable = [image.clipped, background.clipped, *([] if ignore is None else [ignore])]
+    sites = _sites(image, lattice, least)
     # NumPy from here on: it sorts many times faster than torch
-    usable = ~np.any([mask[0, 0][sites].numpy() for mask in unusable], axis=0)
     seen, empty = (light[sites].numpy()[usable].astype(np.float64) for light in (shot, ground))
     # the mean weighed by precision is the one level whose noise is independent of the difference's:
     # grouped by any other, a group would be selected for differences of one sign
@@ -170,8 +188,22 @@ def _channel_samples(
     return level, seen - empty
 
 
-def _lattice(pattern: tuple[tuple[int, ...], ...], channel: int) -> tuple[int, int, int, int]:
-    """First row and column, and the periods, of one site of `channel` in the mosaic."""
+def _sites(
+    image: LinearImage, lattice: tuple[int, int, int, int], least: int
+) -> tuple[slice, slice]:
+    """Thin out a lattice to `least` samples or not many more."""
+    row, column, step_y, step_x = lattice
+    step = max(1, int((image.width * image.height / (step_y * step_x) / least) ** 0.5))
+    return slice(row, None, step_y * step), slice(column, None, step_x * step)
+
+
+def _lattice(
+    image: LinearImage, background: LinearImage, channel: int
+) -> tuple[int, int, int, int]:
+    """First row and column, and the periods, of one site of `channel`: all sites of colours."""
+    pattern = image.pattern
+    if image.mosaic is None or background.mosaic is None or pattern is None:
+        return 0, 0, 1, 1
     sites = [
         (y, x)
         for y, line in enumerate(pattern)
@@ -211,15 +243,16 @@ def _robust_variance(difference: Values) -> Values:
     On 8-bit pictures most differences may be exactly 0, so that the median or even the middle half
     says nothing: the spread is looked for further and further out.
     """
-    size = np.abs(difference - ranked_value(difference, 0.5)[:, None])
+    difference = difference - ranked_value(difference, 0.5)[:, None]
+    size = np.abs(difference)
     half, most, nearly_all = (ranked_value(size, share) for share in (0.5, 0.8, 0.98))
     spread = np.maximum(half / HALF_OF_NORMAL, most / 1.282)
     spread = np.where(spread > 0, spread, nearly_all)
     kept = size <= 4 * spread[:, None]
     count = np.count_nonzero(kept, axis=-1)
     inner = np.where(kept, difference, 0)
-    inner = np.where(kept, inner - (inner.sum(-1) / count)[:, None], 0)
-    return np.asarray((inner * inner).sum(-1) / (count - 1))
+    squares = np.einsum("gn,gn->g", inner, inner) - inner.sum(-1) ** 2 / count
+    return np.asarray(squares / (count - 1))
 
 
 def _ranked(values: Values) -> NDArray[np.intp]:

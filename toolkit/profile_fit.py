@@ -57,6 +57,7 @@ def fit_profiles(
     blur_rounds: int = BLUR_ROUNDS,
     max_iterations: int = MAX_ITERATIONS,
     start: Start | None = None,
+    pixels: WhitePixels | None = None,
 ) -> ProfileFit:
     """Fit centre, half width and opacity of every profile by batched Gauss-Newton.
 
@@ -75,11 +76,13 @@ def fit_profiles(
         blur_rounds: how often the blur is improved, but for the last time; 1 leaves it as it is.
         max_iterations: of a search, between two changes of the blur.
         start: where to start instead of a first guess.
+        pixels: those of the profiles, where they are weighed already.
 
     Returns:
         ProfileFit; profiles that failed carry flags.
     """
-    model = ProfileModel.of(WhitePixels.of(profiles), estimator, skew)
+    pixels = WhitePixels.of(profiles) if pixels is None else pixels
+    model = ProfileModel.of(pixels, estimator, skew)
     reach = float(profiles.offset.max())
     if start is None:
         x = _first_guess(profiles, estimator, half_width, model.skew_mean)

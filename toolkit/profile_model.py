@@ -227,8 +227,8 @@ class ProfileModel:
     def _add_prior(self, x: Tensor, rows: Tensor, gradient: Tensor, information: Tensor) -> Tensor:
         """Add what is known of the skew, in place; give its surprise in standard deviations [A]."""
         surprise = (x[:, 3] - self.skew_mean[rows]) / self.skew_std
-        gradient[:, 3] += surprise / self.skew_std
-        information[:, 3, 3] += 1 / self.skew_std**2
+        gradient[:, 3].add_(surprise, alpha=1 / self.skew_std)
+        information[:, 3, 3].add_(1 / self.skew_std**2)
         return surprise
 
     def _chord(self, share: Tensor, rows: Tensor | slice) -> Chord:

@@ -165,7 +165,8 @@ def _assign(
         may_be_taken = (np.abs(offset) <= reach + slack) & (
             np.abs(along - steps * spacing) <= breadth / 2 + slack
         )
-        x, y, profile, along, offset = (v[may_be_taken] for v in (x, y, profile, along, offset))
+        x, y, along, offset = (values[may_be_taken] for values in (x, y, along, offset))
+        profile = profile[may_be_taken]
     for _ in range(MAX_ROUNDS):
         nearer = (profile + np.rint(along / spacing).astype(np.intp)).clip(0, last)
         moved = np.nonzero(nearer != profile)[0]

@@ -195,18 +195,19 @@ def _evidence(observation: Observation, estimator: AlphaEstimator) -> tuple[Map,
     """Give opacity, its significance, and the share of the change the colour explains, [H, W]."""
     if estimator.unknowns():
         return _plain_evidence(observation)
-    colour = estimator.middle_colour(observation)[0, :, 0, 0].numpy()
+    colour = estimator.middle_colour(observation)[0].float()
+    change, ground, variance = _changes(observation)
+    sums = torch.zeros(3, *change.shape[1:])
     # channel by channel, which stays in the cache
-    seen, information, energy = (np.zeros(observation.signal.shape[2:], np.float32) for _ in "123")
-    for foreground, moved, ground, spread in zip(colour, *_changes(observation), strict=True):
-        precision = 1 / np.maximum(spread, LEAST_VARIANCE)
-        contrast = foreground - ground
+    for foreground, empty, moved, spread in zip(colour, ground, change, variance, strict=True):
+        precision = spread.clamp_min(LEAST_VARIANCE).reciprocal_()
+        contrast = foreground - empty
         weight = contrast * precision
-        information += np.multiply(contrast, weight, out=contrast)
-        seen += np.multiply(weight, moved, out=weight)
-        precision *= moved
-        energy += np.multiply(precision, moved, out=precision)
-    seen, information, energy = _smooth(seen), _smooth(information).clip(1e-12), _smooth(energy)
+        sums[0].addcmul_(weight, moved)
+        sums[1].addcmul_(weight, contrast)
+        sums[2].addcmul_(precision.mul_(moved), moved)
+    seen, information, energy = (_smooth(total) for total in sums.numpy())
+    information = information.clip(1e-12)
     opacity = seen / information
     significance = seen * np.sqrt(4 * math.pi * SMOOTHING**2 / information)
     explained = opacity * seen
@@ -215,11 +216,10 @@ def _evidence(observation: Observation, estimator: AlphaEstimator) -> tuple[Map,
     return opacity, significance, likeness
 
 
-def _changes(observation: Observation) -> tuple[NDArray[np.float32], ...]:
+def _changes(observation: Observation) -> tuple[Tensor, Tensor, Tensor]:
     """Give signal minus ground, ground and variance of the first picture, [Q, H, W] each."""
     change = observation.signal - observation.ground
-    values = (change, observation.ground, observation.variance)
-    return tuple(value[0].float().numpy() for value in values)
+    return change[0].float(), observation.ground[0].float(), observation.variance[0].float()
 
 
 def _plain_evidence(observation: Observation) -> tuple[Map, Map, Map]:
@@ -227,7 +227,7 @@ def _plain_evidence(observation: Observation) -> tuple[Map, Map, Map]:
 
     The largest change is taken for half covered.
     """
-    change, _, variance = _changes(observation)
+    change, _, variance = (values.numpy() for values in _changes(observation))
     seen, energy = (np.zeros(change.shape[1:], np.float32) for _ in range(2))
     for moved, spread in zip(change, variance, strict=True):
         weight = 1 / np.maximum(spread, LEAST_VARIANCE)

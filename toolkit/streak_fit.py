@@ -76,11 +76,9 @@ def fit_streak(view: StreakView, estimator: AlphaEstimator) -> tuple[ProfileFit,
     first, guess, known = _first_look(view, estimator)
     half_width = _median_half_width(first.fit)
     profiles = _laid_across(view, _middle_line(first.fit), half_width, PROFILES)
-    fit, skew, excess = _fit_as_seen(profiles, known, half_width, first.excess, first.fit)
-    half_width = _median_half_width(fit)
-    _check_corner(profiles, float(half_width))
-    profiles = replace(profiles, variance=profiles.variance * excess)
-    pixels = WhitePixels.of(profiles)
+    look = _fit_as_seen(profiles, known, half_width, first.excess, first.fit)
+    profiles, pixels, fit, skew = look.profiles, look.pixels, look.fit, look.skew
+    _check_corner(profiles, float(_median_half_width(fit)))
     if guess is not None:
         fit = find_appearance(profiles, pixels, estimator, guess, fit, skew)
         known = settled(estimator, fit)
@@ -94,7 +92,7 @@ def fit_streak(view: StreakView, estimator: AlphaEstimator) -> tuple[ProfileFit,
             "one of two pigments, or give --ball-colour where it is evenly lit"
         )
     fit = widen_for_correlation(fit)
-    chi2 = fit.chi2_per_dof * excess
+    chi2 = fit.chi2_per_dof * look.excess
     return replace(fit, chi2_per_dof=chi2, common_misfit=misfit), profiles
 
 
@@ -105,16 +103,13 @@ def fit_roughly(view: StreakView, estimator: AlphaEstimator) -> ProfileFit:
         StreakError: when too few profiles are good, or the path turns a corner.
     """
     first, guess, known = _first_look(view, estimator)
-    _check_corner(first.profiles, float(_median_half_width(first.fit)))
-    profiles = replace(first.profiles, variance=first.profiles.variance * first.excess)
-    pixels = WhitePixels.of(profiles)
+    profiles, pixels, fit, skew = first.profiles, first.pixels, first.fit, first.skew
+    _check_corner(profiles, float(_median_half_width(fit)))
     if guess is None:
-        about = smooth_parameters(first.fit)[None]
-        fit = refine_profiles(profiles, known, first.fit, about, first.skew, pixels)
+        about = smooth_parameters(fit)[None]
+        fit = refine_profiles(profiles, known, fit, about, skew, pixels)
     else:
-        fit = find_appearance(
-            profiles, pixels, estimator, guess, first.fit, first.skew, most_rounds=1
-        )
+        fit = find_appearance(profiles, pixels, estimator, guess, fit, skew, most_rounds=1)
     return replace(fit, chi2_per_dof=fit.chi2_per_dof * first.excess)
 
 
@@ -122,10 +117,11 @@ def fit_roughly(view: StreakView, estimator: AlphaEstimator) -> ProfileFit:
 class _Look:
     """Profiles and the fit of each by itself."""
 
-    profiles: Profiles
+    profiles: Profiles  # with noise as large as the misfit
+    pixels: WhitePixels  # theirs
     fit: ProfileFit
-    skew: Skew
-    excess: float
+    skew: Skew  # that the fit assumed
+    excess: float  # of the misfit over the noise, as a variance
 
 
 def _first_look(
@@ -142,8 +138,7 @@ def _first_look(
     if estimator.unknowns():
         guess = guess_appearance(profiles, float(half_width), estimator)
         known = estimator.settled(guess.values)
-    fit, skew, excess = _fit_as_seen(profiles, known, half_width)
-    return _Look(profiles=profiles, fit=fit, skew=skew, excess=excess), guess, known
+    return _fit_as_seen(profiles, known, half_width), guess, known
 
 
 def _laid_across(
@@ -169,7 +164,7 @@ def _fit_as_seen(
     half_width: Tensor,
     excess: float = 1.0,
     before: ProfileFit | None = None,
-) -> tuple[ProfileFit, Skew, float]:
+) -> _Look:
     """Fit profiles, and once more with noise as large as their misfit where one colour fails.
 
     Args:
@@ -178,9 +173,6 @@ def _fit_as_seen(
         half_width: rough, px [1].
         excess: by how much the misfit was seen to exceed the noise before, as a variance; else 1.
         before: a fit of fewer profiles to start from.
-
-    Returns:
-        The fit, the skew it assumed, and the excess.
     """
     # a bent axis is covered for longer on its inner side: skew = half width / (2 bending radius)
     bend_skew = axis_bend(profiles) * half_width[:, None] / 2
@@ -188,6 +180,7 @@ def _fit_as_seen(
     for is_last in (False, True):
         skew = Skew(mean=bend_skew, std=KNOWN_SKEW if excess == 1 else SHADING)
         widened = replace(profiles, variance=profiles.variance * excess)
+        pixels = WhitePixels.of(widened)
         fit = fit_profiles(
             widened,
             estimator,
@@ -197,6 +190,7 @@ def _fit_as_seen(
             blur_rounds=1,  # what is noisy one by one looks sharper than it is
             max_iterations=FIRST_ITERATIONS if before is None else MAX_ITERATIONS,
             start=start,
+            pixels=pixels,
         )
         fit = _mark_ends(fit)
         misfit = excess * _median_chi2(fit)
@@ -204,7 +198,7 @@ def _fit_as_seen(
             break
         excess = misfit
     check_enough(fit)
-    return fit, skew, excess
+    return _Look(profiles=widened, pixels=pixels, fit=fit, skew=skew, excess=excess)
 
 
 def _between(fit: ProfileFit, profiles: Profiles, half_width: Tensor, skew: Tensor) -> Start:
