@@ -47,4 +47,5 @@ class SharpBall:
     disc: Disc
     rgb: Tensor  # [3, N, N] linear light, sensor white = 1
     clipped: float = 0.0  # share of the disc that met white, where the light is too low
-    others: Tensor | None = None  # [D, 3, N, N] light that it may have as well, where that is known
+    others: Tensor | None = None  # [D, 3, N, N] light off by independent errors, where known
+    """The mean square of their distances from the light is its variance."""

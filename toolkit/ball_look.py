@@ -54,9 +54,12 @@ def lay_out(view: BallView) -> SharpBall:
 def _smooth(view: BallView, smooth: SmoothLight) -> SharpBall:
     place = _grid(GRID[1])
     place = place / torch.linalg.vector_norm(place, dim=-1, keepdim=True).clamp_min(1)
-    light = smooth.at(place).clamp_min(0).movedim(-1, 1).float().contiguous()
+    light, errors = smooth.at(place).clamp_min(0), smooth.errors(place)
+    # others whose mean square tells the variance
+    others = light + math.sqrt(len(errors)) * errors
+    light, others = (x.movedim(-1, -3).float().contiguous() for x in (light, others))
     disc = replace(view, disc=smooth.disc).picture_disc
-    return SharpBall(disc=disc, rgb=light[0], clipped=view.clipped, others=light[1:])
+    return SharpBall(disc=disc, rgb=light, clipped=view.clipped, others=others)
 
 
 def _as_seen(view: BallView) -> SharpBall:

@@ -34,12 +34,11 @@ def look_places(place: Tensor, disc: Disc, spread: float) -> Places:
 
 
 def _inside(place: Tensor, std: float) -> tuple[Tensor, Tensor, Tensor]:
-    """Gauss's nine places about each pixel [P], as many times: exact to fifth order."""
-    step, share = torch.tensor([-1.0, 0, 1]).double(), torch.tensor([1.0, 4, 1]).double() / 6
-    shift = torch.stack(torch.meshgrid(step, step, indexing="ij"), dim=-1).reshape(-1, 2)
-    weight = torch.outer(share, share).flatten()
+    """Five places about each pixel [P], as many times: exact to third order, and along x and y."""
+    shift = torch.tensor([[0.0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]]).double()
+    weight = torch.tensor([2.0, 1, 1, 1, 1]).double() / 6
     points = place[:, None] + math.sqrt(3) * std * shift
-    index = torch.arange(len(place))[:, None].expand(-1, 9)
+    index = torch.arange(len(place))[:, None].expand(-1, 5)
     return index.flatten(), points.flatten(0, 1), weight.repeat(len(place))
 
 

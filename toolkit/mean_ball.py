@@ -9,6 +9,9 @@ from torch import Tensor
 
 from toolkit.ball import SharpBall
 
+DRAWS = 8
+"""Of the errors of each picture's light."""
+
 
 def mean_ball(balls: Sequence[SharpBall]) -> SharpBall:
     """Give the mean of what several pictures show of one ball, with light that it may have as well.
@@ -26,12 +29,20 @@ def mean_ball(balls: Sequence[SharpBall]) -> SharpBall:
     lights = torch.stack([_resized(ball.rgb[None], size)[0] for ball in balls])
     mean = lights.mean(0)
     others = mean + (lights - mean) / math.sqrt(len(balls) - 1)
-    draws = [ball.others for ball in balls if ball.others is not None]
-    if len(draws) == len(balls):
-        count = min(len(draw) for draw in draws)
-        own = torch.stack([_resized(draw[:count], size) for draw in draws]).mean(0)
+    if all(ball.others is not None for ball in balls):
+        generator = torch.Generator().manual_seed(0)
+        own = torch.stack([_resized(_drawn(ball, generator), size) for ball in balls]).mean(0)
         others = torch.cat([others, own])
     return replace(balls[0], rgb=mean, clipped=max(ball.clipped for ball in balls), others=others)
+
+
+def _drawn(ball: SharpBall, generator: torch.Generator) -> Tensor:
+    """Draw lights that a ball may have as well, each with all its errors [DRAWS, 3, N, N]."""
+    if ball.others is None:
+        return ball.rgb[None]
+    amounts = torch.randn(DRAWS, len(ball.others), generator=generator)
+    errors = (ball.others - ball.rgb) / math.sqrt(len(ball.others))
+    return ball.rgb + torch.einsum("de,ecyx->dcyx", amounts, errors)
 
 
 def _resized(light: Tensor, size: int) -> Tensor:

@@ -15,7 +15,7 @@ CELLS = 12
 """Of the spline along a diameter, even in the angle of the normal."""
 MOST_TURN = 0.3
 """Radians by which a lamp is turned at once, at most."""
-LAMPS = 96
+LAMPS = 256
 """Directions, over half a sphere, in which a lamp is sought first."""
 
 
@@ -47,6 +47,31 @@ def turned(lamp: Tensor, turn: Tensor) -> Tensor:
     turn = turn.clamp(-MOST_TURN, MOST_TURN)
     new: Tensor = torch.nn.functional.normalize(lamp + turn[0] * first + turn[1] * second, dim=-1)
     return new
+
+
+def facing_places(unit: Tensor, near: Tensor) -> Tensor:
+    """Give the normals' parts across the view at places of the unit disc [..., 2].
+
+    From afar they are the places. Of a ball near by less than half is seen: with the sine of the
+    angle under which its radius is seen, a ray at an angle b from its middle meets it where the
+    normal leans by asin(sin b / sine) - b. Seen askew, its middle is not that of its outline: what
+    moves it there is the projection that leaves the outline where it is. [derived]
+
+    Args:
+        unit: places.
+        near: that sine, and the place of the middle's ray [3].
+    """
+    sine, across = near[0], near[1:]
+    shift = across.norm().clamp_min(1e-12)
+    ahead = across / shift
+    along = (unit * ahead).sum(-1, keepdim=True)
+    beside = (unit - along * ahead) * (1 - shift * shift).sqrt()
+    place = ((along - shift) * ahead + beside) / (1 - shift * along)
+    length = torch.linalg.vector_norm(place, dim=-1, keepdim=True).clamp(1e-12, 1)
+    tangent = length * (sine / (1 - sine * sine).sqrt())
+    lean = torch.asin((tangent / (1 + tangent * tangent).sqrt() / sine).clamp_max(1))
+    facing: Tensor = place / length * torch.sin(lean - torch.atan(tangent))
+    return facing
 
 
 def lamp_light(unit: Tensor, lamps: Tensor) -> Tensor:
@@ -105,9 +130,10 @@ class ShadeTable:
     """A shade, looked up quickly."""
 
     values: Tensor  # [1, 3, N, N] over the chart
+    near: Tensor  # [3], see `facing_places`
 
     @classmethod
-    def of(cls, coefficients: Tensor, lamp: Tensor) -> "ShadeTable":
+    def of(cls, coefficients: Tensor, lamp: Tensor, near: Tensor) -> "ShadeTable":
         """Lay out a shade [3, K + 1], the last number that of a lamp [1, 3]."""
         line = torch.linspace(-1, 1, 129, dtype=torch.float64)
         chart = torch.stack(torch.meshgrid(line, line, indexing="xy"), dim=-1)
@@ -116,12 +142,13 @@ class ShadeTable:
         unit = unit.reshape(-1, 2)
         basis = torch.cat([dense_basis(unit), lamp_light(unit, lamp)], dim=1)
         light = basis @ coefficients.mT
-        return cls(values=light.mT.reshape(1, 3, 129, 129))
+        return cls(values=light.mT.reshape(1, 3, 129, 129), near=near)
 
     def at(self, unit: Tensor) -> Tensor:
         """Give the light at places of the unit disc [G, 2], [G, 3]."""
+        place = _chart(facing_places(unit, self.near))
         found = torch.nn.functional.grid_sample(
-            self.values, _chart(unit)[None, None], align_corners=True, padding_mode="border"
+            self.values, place[None, None], align_corners=True, padding_mode="border"
         )
         light: Tensor = found[0, :, 0].mT
         return light
