@@ -15,10 +15,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from toolkit import Camera, SharpBall
+from toolkit import Camera, Disc, SharpBall
 
 NODES = 321
 """Along a side of the chart."""
+ERROR_NODES = 129
+"""The same of errors of the light."""
 WIDEST = 1.8
 """Half its side: normals up to 122 degrees from those that face the camera."""
 RIM = 0.999
@@ -49,23 +51,26 @@ class BallLight:
     disc and beyond, at the same scale every way, and found without any angle.
     """
 
-    chart: Tensor  # [1, 3, NODES, NODES] over -WIDEST to WIDEST
+    chart: Tensor  # [1, C, nodes, nodes] over -WIDEST to WIDEST
     axes: Tensor  # [3, 3] right, down and away in the view of the sharp picture, as rows
     sine: float  # of the angle under which the ball's radius was seen there, 0 from afar
 
     @classmethod
     def of(cls, ball: SharpBall, camera: Camera | None = None) -> "BallLight":
         """Lay a sharp picture's light out on the ball; without a camera, as if seen from afar."""
-        picture = _Picture.of(ball, camera)
-        line = torch.linspace(-WIDEST, WIDEST, NODES, dtype=torch.float64)
-        normal = _normals(torch.stack(torch.meshgrid(line, line, indexing="xy"), dim=-1))
-        light, is_seen = picture.at(normal)
-        light[~is_seen] = _continued(picture, normal[is_seen], light[is_seen], normal[~is_seen])
-        chart = light.movedim(-1, 0)[None].contiguous()
+        picture = _Picture.of(ball, ball.rgb, camera)
+        chart = picture.laid_out(NODES).clamp_min(0)
+        return cls(chart=chart, axes=picture.axes, sine=picture.sine)
+
+    @classmethod
+    def of_errors(cls, ball: SharpBall, errors: Tensor, camera: Camera | None) -> "BallLight":
+        """Lay out errors of its light [C, N, N], which may be negative; they are smooth."""
+        picture = _Picture.of(ball, errors, camera)
+        chart = picture.laid_out(ERROR_NODES).float()
         return cls(chart=chart, axes=picture.axes, sine=picture.sine)
 
     def at(self, normal: Tensor) -> Tensor:
-        """Give the light at unit normals [..., 3] along the axes, [..., 3]."""
+        """Give the light at unit normals [..., 3] along the axes, [..., C]."""
         place = normal[..., :2] / ((1 - normal[..., 2:]).clamp_min(0.1) * WIDEST)
         light = torch.nn.functional.grid_sample(
             self.chart.to(normal),
@@ -73,7 +78,7 @@ class BallLight:
             padding_mode="border",
             align_corners=True,
         )
-        return light[0, :, 0].mT.reshape(normal.shape)
+        return light[0, :, 0].mT.reshape(*normal.shape[:-1], self.chart.shape[1])
 
 
 def picture_noise(ball: SharpBall) -> tuple[float, ...]:
@@ -101,13 +106,14 @@ def picture_noise(ball: SharpBall) -> tuple[float, ...]:
 class _Picture:
     """A sharp picture of the ball, and how it was seen."""
 
-    ball: SharpBall
+    disc: Disc
+    light: Tensor  # [C, N, N] over it
     camera: Camera | None
     axes: Tensor
     sine: float
 
     @classmethod
-    def of(cls, ball: SharpBall, camera: Camera | None) -> "_Picture":
+    def of(cls, ball: SharpBall, light: Tensor, camera: Camera | None) -> "_Picture":
         """Find the axes of the view of a disc, and the sine of the angle of its radius."""
         axes, sine = torch.eye(3, dtype=torch.float64), 0.0
         if camera is not None:
@@ -121,7 +127,7 @@ class _Picture:
             right = torch.nn.functional.normalize(axes[0] - away[0] * away, dim=0)
             axes = torch.stack([right, torch.linalg.cross(away, right), away])
             sine = math.sqrt(max(1 - 1 / length**2, 1e-12))
-        return cls(ball=ball, camera=camera, axes=axes, sine=sine)
+        return cls(disc=ball.disc, light=light.double(), camera=camera, axes=axes, sine=sine)
 
     def at(self, normal: Tensor) -> tuple[Tensor, Tensor]:
         """Give the light seen where the surface has normals [..., 3], and whether it is seen."""
@@ -130,16 +136,24 @@ class _Picture:
         else:
             middle = torch.tensor([0.0, 0.0, 1 / self.sine], dtype=torch.float64)
             pixel = self.camera.project((middle + normal) @ self.axes)
-            place = torch.nan_to_num(self.ball.disc.to_unit(pixel), nan=9.0)
+            place = torch.nan_to_num(self.disc.to_unit(pixel), nan=9.0)
         light = torch.nn.functional.grid_sample(
-            self.ball.rgb.double()[None],
+            self.light[None],
             place.reshape(1, 1, -1, 2),
             padding_mode="border",
             align_corners=True,
         )[0, :, 0]
         # the tangents from the viewer touch the ball this far from its middle
         is_seen = (torch.linalg.vector_norm(place, dim=-1) <= RIM) & (-normal[..., 2] > self.sine)
-        return light.mT.reshape(*normal.shape[:-1], 3), is_seen
+        return light.mT.reshape(*normal.shape[:-1], -1), is_seen
+
+    def laid_out(self, nodes: int) -> Tensor:
+        """Give a chart of the light, continued to what is not seen, [1, C, nodes, nodes]."""
+        line = torch.linspace(-WIDEST, WIDEST, nodes, dtype=torch.float64)
+        normal = _normals(torch.stack(torch.meshgrid(line, line, indexing="xy"), dim=-1))
+        light, is_seen = self.at(normal)
+        light[~is_seen] = _continued(self, normal[is_seen], light[is_seen], normal[~is_seen])
+        return light.movedim(-1, 0)[None].contiguous()
 
 
 def _circle() -> Tensor:
@@ -177,7 +191,7 @@ def _continued(picture: _Picture, known: Tensor, light: Tensor, hidden: Tensor) 
     beyond = torch.acos((-hidden[:, 2]).clamp(-1, 1)) - widest
     fading = torch.exp(-beyond.clamp_min(0) / FADING)[:, None]
     found: Tensor = (_with_one(hidden)[:, None] @ fit + fading[..., None] * miss)[:, 0]
-    return found.clamp_min(0)
+    return found
 
 
 def _with_one(normal: Tensor) -> Tensor:

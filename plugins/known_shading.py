@@ -9,6 +9,7 @@ from torch import Tensor
 
 from plugins.ball_light import BallLight, picture_noise
 from plugins.chord_means import ChordMeans
+from plugins.loose_light import LooseLight, light_errors
 from toolkit import (
     AlphaEstimator,
     Camera,
@@ -90,9 +91,12 @@ class KnownShading(AlphaEstimator):
         return super().foreground_and_slope(chord, appearance)
 
     def other_lights(self) -> tuple["KnownShading", ...]:
-        """Give the ball in light that its sharp picture allows for; none where it has no noise."""
+        """Give the ball in light that its sharp picture allows for; none where it has no noise.
+
+        None where the errors of its light are known one by one: they are found with the motion.
+        """
         if self.ball.others is not None:
-            return tuple(self._with(rgb) for rgb in self.ball.others)
+            return ()
         std = torch.tensor(picture_noise(self.ball))[:, None, None]
         if float(std.max()) < LEAST_NOISE:
             return ()
@@ -101,6 +105,17 @@ class KnownShading(AlphaEstimator):
             self._with(rgb + std * torch.randn(rgb.shape, generator=generator))
             for _ in range(DRAWS)
         )
+
+    def loosened(self) -> LooseLight | None:
+        """Give the ball whose light may be off as the sharp picture allows for, where it tells."""
+        if self.ball.others is None or not len(self.ball.others):
+            return None
+        return LooseLight.of(self, self.ball, self.camera)
+
+    def relit(self, amounts: Tensor) -> "KnownShading":
+        """Give the ball whose light is off by standard deviations of each error [E]."""
+        change = torch.einsum("ecyx,e->cyx", light_errors(self.ball), amounts.float())
+        return self._with(self.ball.rgb + change)
 
     def doubts(self) -> dict[str, str]:
         """Say that the rim's light is less sure where the sharp picture has more than the ball."""
@@ -116,7 +131,9 @@ class KnownShading(AlphaEstimator):
         return max(picture_noise(self.ball))
 
     def _with(self, rgb: Tensor) -> "KnownShading":
-        other = KnownShading(ball=replace(self.ball, rgb=rgb, others=None))
+        # its own light, whatever it was drawn from, is known
+        nothing = torch.zeros(0, *rgb.shape)
+        other = KnownShading(ball=replace(self.ball, rgb=rgb, others=nothing))
         return other if self.camera is None else other.seen_through(self.camera)
 
     @cached_property

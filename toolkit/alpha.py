@@ -107,6 +107,19 @@ class AlphaEstimator(ABC):
         """
         return ()
 
+    def loosened(self) -> "AlphaEstimator | None":
+        """Give the estimator that leaves open by how much its light errs: none, here.
+
+        Its unknowns are independent errors, each in standard deviations; all zero is the light that
+        this one takes for known. The exact stage finds them with the motion.
+        """
+        return None
+
+    def relit(self, amounts: Tensor) -> "AlphaEstimator":
+        """Give the estimator with these errors [E] of `loosened` taken for known."""
+        loose = self.loosened()
+        return self if loose is None else loose.settled(amounts)
+
     def doubts(self) -> dict[str, str]:
         """Give cautions about what this estimator was told, by code: none, here.
 

@@ -91,6 +91,18 @@ class _Guarded(AlphaEstimator):
             self._refuse("other_lights", "gives something else than estimators")
         return tuple(guarded(other) for other in others)
 
+    def loosened(self) -> AlphaEstimator | None:
+        loose = self._ask("loosened", self.estimator.loosened)
+        if loose is not None and not isinstance(loose, AlphaEstimator):
+            self._refuse("loosened", f"gives a {type(loose).__name__}, not an estimator")
+        return None if loose is None else guarded(loose)
+
+    def relit(self, amounts: Tensor) -> AlphaEstimator:
+        relit = self._ask("relit", lambda: self.estimator.relit(amounts))
+        if not isinstance(relit, AlphaEstimator):
+            self._refuse("relit", f"gives a {type(relit).__name__}, not an estimator")
+        return guarded(relit)
+
     def doubts(self) -> dict[str, str]:
         doubts = self._ask("doubts", self.estimator.doubts)
         if not isinstance(doubts, dict) or not all(

@@ -8,6 +8,7 @@ from torch import Tensor
 from toolkit.motion import PATH_POINTS, SPEED, Motion
 from toolkit.sweep.fit import SweepFit
 from toolkit.sweep.misfit import Misfit
+from toolkit.sweep.relight import JointLight
 from toolkit.uncertainty import Uncertainty
 
 
@@ -46,6 +47,7 @@ def sweep_uncertainty(
     misfit: Misfit,
     *,
     finer: SweepFit | None,
+    light: JointLight | None = None,
     ball_radius_std: float,
     exposure_std_share: float,
     response_changes: Tensor,
@@ -60,6 +62,7 @@ def sweep_uncertainty(
         misfit: widens what comes from noise.
         finer: the same with a less smooth shade, or other marks, where such were fitted: what it
             changes is taken for one standard deviation.
+        light: the equations of motion and light together, where the light is not wholly known.
         ball_radius_std: m.
         exposure_std_share: standard deviation of the exposure over itself.
         response_changes: of signal less ground behind alpha [M, Q, N], for one standard deviation
@@ -77,15 +80,25 @@ def sweep_uncertainty(
     for change in response_changes:
         answer = J @ _answer_to_response(fit, change)[:k]
         by_response += torch.outer(answer, answer)
+    by_light = _light_covariance(fit, J)
+    if light is not None:
+        by_light += _joint_light_covariance(light)
     by_order = torch.zeros_like(state) if finer is None else motion_of(finer).state() - state
     return Uncertainty(
         noise=J @ fit.path_covariance @ J.mT * misfit.factor,
-        order=torch.outer(by_order, by_order) + _light_covariance(fit, J),
+        order=torch.outer(by_order, by_order) + by_light,
         camera=_camera_covariance(fit, J),
         radius=torch.outer(by_radius, by_radius),
         exposure=torch.outer(by_exposure, by_exposure),
         brightness=by_response,
     )
+
+
+def _joint_light_covariance(light: JointLight) -> Tensor:
+    """Carry what the light leaves open where it was found with the motion: marks change little."""
+    J, k = J_state(light.fit), light.fit.model.path.size
+    open_light: Tensor = J @ (light.path_covariance(k) - light.fit.path_covariance) @ J.mT
+    return open_light
 
 
 def _light_covariance(fit: SweepFit, J: Tensor) -> Tensor:

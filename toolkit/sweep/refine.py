@@ -20,6 +20,7 @@ from toolkit.sweep.misfit import Misfit, look_for_misfit, with_coarse_misfit
 from toolkit.sweep.model import SweepModel
 from toolkit.sweep.paths import STRAIGHT
 from toolkit.sweep.pixels import Frame
+from toolkit.sweep.relight import JointLight, joint_light
 from toolkit.sweep.shade import Shaded
 from toolkit.sweep.still import looks_still, speed_limit
 from toolkit.view import StreakView
@@ -32,6 +33,8 @@ SOFTEST = 0.95 * LARGEST_SPREAD
 """px^2, of lens and pixel: what is softer is no rim of a ball."""
 STRAYED = 0.5
 """Half widths by which the likeliest path may leave the one that some profiles told at first."""
+RELIGHTINGS = 2
+"""Fits in a light that the streak itself corrected, at most."""
 DECIDED = 0.99
 """Probability from which the sign of the motion counts as decided."""
 
@@ -92,7 +95,7 @@ def refine(
         row_delay=shutter.row_delay,
         middle_row=middle_row,
     )
-    fit, sign = _both_ways(frame, model, start, shutter)
+    fit, sign, light = _in_likeliest_light(frame, model, start, shutter)
     if not fit.converged:
         raise StreakError(
             "the exact streak does not settle on one motion; "
@@ -115,6 +118,7 @@ def refine(
         fit,
         misfit,
         finer=finer,
+        light=light,
         ball_radius_std=ball_radius_std,
         exposure_std_share=exposure_std_share,
         response_changes=response_changes(view, estimator, frame, fit, linearity),
@@ -175,6 +179,28 @@ def _shows_known_colour(model: SweepModel) -> bool:
     if not isinstance(ball, Shaded):
         return model.is_plain and not model.unknowns
     return model.is_laned and model.unknowns == ball.shades and not ball.is_recoloured
+
+
+def _in_likeliest_light(
+    frame: Frame, model: SweepModel, start: Start, shutter: Shutter
+) -> tuple[SweepFit, Sign | None, JointLight | None]:
+    """Fit the motion, and the light with it where that is known with errors alone."""
+    told = model.estimator
+    fit, sign = _both_ways(frame, model, start, shutter)
+    loose = told.loosened()
+    if loose is None or not fit.converged:
+        return fit, sign, None
+    light = joint_light(fit, loose, torch.zeros(loose.unknowns(), dtype=torch.float64))
+    for _ in range(RELIGHTINGS):
+        if light.is_settled:
+            break
+        amounts = light.amounts + light.step
+        lit = replace(model, estimator=told.relit(amounts))
+        fit, sign = _both_ways(frame, lit, start, shutter)
+        if not fit.converged:
+            break
+        light = joint_light(fit, loose, amounts)
+    return fit, sign, light
 
 
 def _both_ways(
