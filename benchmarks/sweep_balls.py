@@ -7,7 +7,10 @@ from every pixel of the background (norm of three channels):
   light comes from the room. `known-shading` is told the light of the ball's disc as it is at
   mid-exposure, exactly;
 - shaded, seen: the same ball, but the light is taken from a sharp picture of it, at rest there,
-  with noise like that of the shot, as a user would;
+  with noise like that of the shot, as a user would. Beside the bound of a known light, the errors
+  are held against two of their own (`sweep_light_bound`), which count what such a picture leaves
+  open: that of a smooth shade, which is what `known-shading` knows, and that of the very family of
+  these balls, which it does not;
 - striped: 2 to 6 stripes of two pigments, evenly lit, turning 2 to 6 times within the exposure;
   `two-colour` is given the pigments. Every pixel of the background lies at least 0.15 from their
   plane;
@@ -37,12 +40,24 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from sweep_light_bound import LightBound, exact_ball
 from sweep_scenes import BALL_COLOUR, CONTRAST, draw_scene, facts, render
-from sweep_score import AXES, Row, in_processes, over_bound, rms, save_rows, score, summary
+from sweep_score import (
+    AXES,
+    Row,
+    column,
+    in_processes,
+    is_wide,
+    over_bound,
+    rms,
+    save_rows,
+    score,
+    summary,
+)
 
 from plugins.known_shading import KnownShading
 from plugins.two_colour import TwoColour
-from toolkit import AlphaEstimator, SharpBall, ToolkitError
+from toolkit import AlphaEstimator, ToolkitError
 from toolkit.ball_look import look_at_ball
 from toolkit.synthetic import (
     Appearance,
@@ -54,7 +69,6 @@ from toolkit.synthetic import (
     mean_colour,
     pigments,
     render_sharp,
-    true_disc,
 )
 
 Generator = np.random.Generator
@@ -64,8 +78,6 @@ AMBIENT, LAMP_ANGLE = 0.4, math.radians(50)
 TURNS, STRIPES = (2.0, 6.0), (2, 7)
 TURN_DEG = (0, 3, 8, 31)
 """Between which shots are told apart by how far the view turns."""
-NODES, RIM = 129, 0.999
-"""Of the exact light of a disc, and how near to the rim it is taken."""
 INSTANTS = 40
 """Of the exposure, over which a ball's colour is averaged."""
 OFF_PLANE, APART = 0.15, math.radians(15)
@@ -78,6 +90,7 @@ class Kind:
 
     paint: Callable[[Scene, Generator], Appearance]
     know: Callable[[RenderedShot, int], AlphaEstimator]
+    is_seen: bool = False  # its light in a sharp picture
 
 
 def shade(pattern: Appearance, generator: Generator) -> LitBall:
@@ -125,20 +138,7 @@ def direction(generator: Generator) -> Array:
 
 def know_exactly(shot: RenderedShot, _: int) -> KnownShading:
     """Tell the light of the disc at mid-exposure, without a picture of it."""
-    scene, centre = shot.scene, shot.position
-    x, y, z = centre.tolist()
-    disc = true_disc(scene, (x, y, z))
-    line = torch.linspace(-1, 1, NODES, dtype=torch.float64)
-    place = torch.stack(torch.meshgrid(line, line, indexing="xy"), dim=-1)
-    # beyond the rim the light goes on as it is there
-    place = place * (RIM / torch.linalg.vector_norm(place, dim=-1, keepdim=True)).clamp_max(1)
-    ray = scene.camera.unproject(disc.from_unit(place))
-    near = ray @ centre
-    depth = near - (near**2 - centre @ centre + scene.ball_radius**2).clamp_min(0).sqrt()
-    normal = torch.nn.functional.normalize(depth[..., None] * ray - centre, dim=-1)
-    light = scene.appearance(normal.reshape(-1, 3), scene.exposure / 2)
-    rgb = light.mT.reshape(3, NODES, NODES).float().contiguous()
-    return KnownShading(ball=SharpBall(disc=disc, rgb=rgb))
+    return KnownShading(ball=exact_ball(shot))
 
 
 def see_sharply(shot: RenderedShot, seed: int) -> KnownShading:
@@ -161,7 +161,7 @@ def lit(
 
 KINDS = {
     "shaded": Kind(paint=partial(lit, one_pigment), know=know_exactly),
-    "shaded, seen": Kind(paint=partial(lit, one_pigment), know=see_sharply),
+    "shaded, seen": Kind(paint=partial(lit, one_pigment), know=see_sharply, is_seen=True),
     "striped": Kind(paint=stripes, know=name_pigments),
     "lit stripes": Kind(paint=partial(lit, stripes), know=name_pigments),
 }
@@ -186,7 +186,32 @@ def run_shot(seed: int, *, name: str, cache: Path | None) -> Row:
         estimator = kind.know(shot, seed)
     except ToolkitError as refusal:
         return row | {"refused": f"sharp picture: {refusal}"}
-    return row | score(shot, estimator)
+    row |= score(shot, estimator)
+    if not kind.is_seen:
+        return row
+    bound = LightBound(shot, seed)
+    own = {
+        "smooth_bound": bound.of_smooth_light().tolist(),
+        "family_bound": bound.of_known_family().tolist(),
+    }
+    return row | own
+
+
+def over_own(rows: list[Row]) -> str:
+    """Give the errors over the bounds that count the light, with the standard error of each."""
+    rows = [row for row in rows if row["refused"] is None and not is_wide(row)]
+    lines = []
+    for name in ("smooth", "family"):
+        ratio = rms(column(rows, "error") / column(rows, f"{name}_bound"))
+        above = np.median(column(rows, f"{name}_bound") / column(rows, "bound"), axis=0)
+        error = ratio / math.sqrt(2 * len(rows))
+        for text, values in (
+            (f"rms error / bound of {name} light", ratio),
+            ("  standard error", error),
+            ("  that over the known light's", above),
+        ):
+            lines.append(f"{text:32}" + "".join(f"{value:9.3f}" for value in values))
+    return "\n".join(lines)
 
 
 def turn(shot: RenderedShot) -> float:
@@ -227,6 +252,8 @@ def main() -> None:
         rows = list(in_processes(work, seeds, arguments.workers))
         everything += rows
         print(f"--- {name}\n{summary(rows)}\n{by_turn(rows)}\n", flush=True)
+        if KINDS[name].is_seen:
+            print(over_own(rows), flush=True)
     if arguments.save is not None:
         save_rows(arguments.save, everything)
 
