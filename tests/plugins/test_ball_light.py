@@ -210,7 +210,7 @@ def test_what_the_sharp_picture_s_noise_does_to_the_answer_is_stated():
         colour = other.colours(fit.parameters, fit.pixels, fit.seen.coverage).colour
         answers.append(J_state(fit) @ fit.seen.answer(scale * (colour - before))[:6])
     scatter = torch.stack(answers)[:, :7].square().mean(0).sqrt()
-    options = {"finer": None, "light": None, "ball_radius_std": 0, "exposure_std_share": 0}
+    options = {"light": None, "ball_radius_std": 0, "exposure_std_share": 0}
     quiet = SimpleNamespace(factor=1.0)
     options |= {"response_changes": torch.zeros(0)}
     stated = [

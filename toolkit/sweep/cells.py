@@ -23,12 +23,13 @@ class Cells:
 
     number: Tensor  # [N] of each pixel's cell
     count: int
+    share: Tensor  # [N] by which a pixel sees more or less of a cell's light than of the ball's
     variance: float = 0.0  # of each cell's light, over the square of the ball's
 
     def sums(self, seen: "Comparison") -> "CellSums":
         """Sum up what the pixels of each cell say of its light."""
         weight = seen.weight
-        change, missed = weight * seen.light, weight * seen.residual
+        change, missed = weight * seen.light * self.share, weight * seen.residual
         pull, hold = torch.zeros(2, self.count, dtype=torch.float64).unbind()
         shared = torch.zeros(len(seen.gradient), self.count, dtype=torch.float64)
         for q, (J, at) in enumerate(zip(seen.J, seen.columns, strict=True)):
@@ -44,7 +45,8 @@ class Cells:
         scale = 1 / (sums.hold + 1 / self.variance)
         found, taken = scale * sums.pull, sums.shared * scale
         whitened = []
-        for J, at, change in zip(seen.J, seen.columns, seen.weight * seen.light, strict=True):
+        light = seen.light * self.share
+        for J, at, change in zip(seen.J, seen.columns, seen.weight * light, strict=True):
             # through the cells' light each channel tells of what only others hang on
             rows = -taken[:, self.number] * change
             rows[at] += J
@@ -54,7 +56,7 @@ class Cells:
             cost=seen.cost - float(found @ sums.pull),
             gradient=seen.gradient + sums.shared @ found,
             information=seen.information - taken @ sums.shared.mT,
-            residual=seen.residual - seen.light * found[self.number],
+            residual=seen.residual - light * found[self.number],
             J=tuple(whitened),
             columns=(torch.arange(len(seen.gradient)),) * len(whitened),
         )

@@ -148,14 +148,16 @@ def _first_parameters(model: SweepModel, start: Start) -> Tensor:
 def _shaded_if_asked(fit: SweepFit, frame: Frame, side: int) -> SweepFit:
     """Let the ball be shaded where the whole streak misses alike, and the picture gains by it."""
     model = fit.model
-    if not look_for_misfit(fit).is_common or model.channels < COLOURS:
+    misfit = look_for_misfit(fit)
+    if not misfit.significant or model.channels < COLOURS:
         return fit
     bright = float(fit.pixels.signal[:, fit.seen.coverage.alpha > 0].abs().mean())
     shaded = replace(model, shade_std=SHADE_STD * bright)
     trial = _with_shade(shaded, model.estimator, fit, frame, side)
     new = trial.model.unknowns - model.unknowns
     # what the rest of the streak misses alike is what such a shade is there for, at least in part
-    gain = _saved(fit, trial) / max(look_for_misfit(trial).pixels, 1.0)
+    left = look_for_misfit(trial)
+    gain = _saved(fit, trial) / (max(left.pixels, 1.0) if misfit.is_common else left.factor)
     return trial if trial.converged and gain > EVIDENCE * new else fit
 
 
@@ -172,10 +174,14 @@ def _with_shade(
     model: SweepModel, estimator: AlphaEstimator, fit: SweepFit, frame: Frame, side: int
 ) -> SweepFit:
     """Fit the same with a further shade over the ball, starting from none."""
-    powers = Shaded.powers_above(estimator)
-    shaded = Shaded(estimator=estimator, channels=model.channels, powers=powers)
+    shaded = Shaded(
+        estimator=estimator,
+        channels=model.channels,
+        powers=Shaded.powers_above(estimator),
+        is_ahead=not isinstance(estimator, Shaded),
+    )
     first = model.path.size + 1 + fit.model.unknowns
-    none = torch.zeros(len(powers) * model.channels, dtype=torch.float64)
+    none = torch.zeros(shaded.unknowns() - estimator.unknowns(), dtype=torch.float64)
     x = torch.cat([fit.parameters[:first], none, fit.parameters[first:]])
     model = replace(model, estimator=shaded)
     return fit_sweep(model, x, frame, side=side, doubt=2.0 * side)

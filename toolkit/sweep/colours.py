@@ -82,6 +82,46 @@ def lane_colours(
     )
 
 
+def ahead_colours(
+    estimator: AlphaEstimator,
+    appearance: Tensor,
+    ahead: Tensor,
+    passage: Passage,
+    ball_radius: float,
+    exposure: tuple[Tensor, Tensor],
+) -> BallColours:
+    """Give those of a ball whose light is linear along a chord, of which the ends show parts.
+
+    Args:
+        estimator: knows the colours.
+        appearance: what it leaves open [A].
+        ahead: by how much the leading rim is brighter than the middle, [Q].
+        passage: of M pixels.
+        ball_radius: m.
+        exposure: of each pixel, from and to [M].
+    """
+    gap = _gap(passage, ball_radius)
+    half = (passage.room.clamp_min(0) / passage.stiffness).sqrt().clamp_min(1e-9)
+    # the leading rim, 1, passes first
+    ends = [(passage.instant - exposure[end]) / half for end in (1, 0)]
+    start, stop = (end.clamp(-1, 1) for end in ends)
+    direction = torch.zeros(1, dtype=torch.float64)
+    chord = Chord(offset=gap, direction=direction, start=start, stop=stop)
+    colour, slope = estimator.foreground_and_slope(chord, appearance)
+    height = (1 - gap * gap).clamp_min(0).sqrt()
+    by_end = ahead[:, None] * height / 2
+    is_cut = [(end.abs() < 1).to(half) for end in ends]
+    by_instant = by_end * (is_cut[0] + is_cut[1]) / half
+    by_half = -by_end * (is_cut[0] * start + is_cut[1] * stop)
+    across = torch.zeros_like(by_instant) if slope is None else slope.mT.double()
+    return BallColours(
+        colour=colour.mT.double(),
+        slopes=torch.stack([across, by_instant, by_half]),
+        by_spread=None,
+        design=_design(estimator, chord, len(appearance)),
+    )
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sight:
     """How M pixels see the ball pass."""

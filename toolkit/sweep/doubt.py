@@ -46,7 +46,7 @@ def sweep_uncertainty(
     fit: SweepFit,
     misfit: Misfit,
     *,
-    finer: SweepFit | None,
+    others: tuple[SweepFit, ...] = (),
     light: JointLight | None = None,
     ball_radius_std: float,
     exposure_std_share: float,
@@ -60,8 +60,8 @@ def sweep_uncertainty(
     Args:
         fit: the most likely motion.
         misfit: widens what comes from noise.
-        finer: the same with a less smooth shade, or other marks, where such were fitted: what it
-            changes is taken for one standard deviation.
+        others: as good, with a less smooth shade or other marks: what each changes is taken for one
+            standard deviation.
         light: the equations of motion and light together, where the light is not wholly known.
         ball_radius_std: m.
         exposure_std_share: standard deviation of the exposure over itself.
@@ -83,10 +83,13 @@ def sweep_uncertainty(
     by_light = _light_covariance(fit, J)
     if light is not None:
         by_light += _joint_light_covariance(light)
-    by_order = torch.zeros_like(state) if finer is None else motion_of(finer).state() - state
+    by_order = torch.zeros_like(by_response)
+    for other in others:
+        change = motion_of(other).state() - state
+        by_order += torch.outer(change, change)
     return Uncertainty(
         noise=J @ fit.path_covariance @ J.mT * misfit.factor,
-        order=torch.outer(by_order, by_order) + by_light,
+        order=by_order + by_light,
         camera=_camera_covariance(fit, J),
         radius=torch.outer(by_radius, by_radius),
         exposure=torch.outer(by_exposure, by_exposure),

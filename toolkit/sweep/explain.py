@@ -88,10 +88,10 @@ def _shade(fit: SweepFit) -> tuple[Tensor, dict[int, Tensor]] | None:
         return None
     appearance = fit.model.split(fit.parameters)[2]
     known = ball.estimator.unknowns()
-    rows = appearance[known:].reshape(len(ball.powers), -1)
+    rows = appearance[known:].reshape(-1, ball.channels)
     colours = fit.model.colours(fit.parameters, fit.pixels, fit.seen.coverage)
     base = colours.colour.mean(1)
-    return base, dict(zip(ball.powers, rows, strict=True))
+    return base, dict(zip(ball.powers, rows, strict=False))
 
 
 def _relative(change: Tensor, base: Tensor) -> float:

@@ -78,11 +78,12 @@ def judge_linearity(view: StreakView, fit: SweepFit, factor: float) -> Linearity
 def _bend(view: StreakView, fit: SweepFit) -> Tensor:
     """Give the change of the whitened residual [Q, N] for one more in the light's exponent.
 
-    The background is smoothed without each pixel's own light: noise shared with the residual would
-    tell of an exponent wherever the noise itself is known a little wrong.
+    The background is taken from around each pixel: noise shared with the residual would tell of an
+    exponent wherever the noise itself is known a little wrong.
     """
     pixels, alpha = fit.pixels, fit.seen.coverage.alpha
-    ground = pixels.mean_of(view.smooth_ground[0])
+    rings = [squares.ring(view.observation.ground[0]) for squares in pixels.squares]
+    ground = torch.cat(rings, dim=-1).double()
     ball = fit.model.colours(fit.parameters, pixels, fit.seen.coverage).colour
     both = alpha * ball + (1 - alpha) * ground
     change = _power_slope(both) - alpha * _power_slope(ball) - (1 - alpha) * _power_slope(ground)

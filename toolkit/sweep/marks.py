@@ -28,11 +28,16 @@ NARROWEST = 2.0
 """px, of a mark across."""
 MERGED = (1, 2, 4, 8)
 """Smallest cells side by side in those of larger marks, either way."""
+SHORTEST = 0.05
+"""Diameters of a part of a chord: of a shorter one marks look as if it were as long."""
 FEWEST = 4
 """Cells of which a variance can be told."""
 STRONGEST, WEAKEST, STEPS = 0.5, 0.002, 16
 """Of marks, rms change of light over that of the ball, and steps of the search for it: holes that
 are black and cover half of the ball are as strong."""
+UNSETTLED = 3.0
+"""Excess of the misfit from which marks explain so little that they may have led anywhere: the
+motion without any then counts for as good."""
 EVIDENCE = 4.0
 """Chi-square that each number of a bend must gain."""
 CERTAIN = 12.0
@@ -65,7 +70,7 @@ class MarkedFit:
 
     fit: SweepFit
     marks: Marks
-    other: SweepFit | None  # with marks of the next likeliest width
+    others: tuple[SweepFit, ...]  # that are as good: what they differ by nobody knows better
     before: Misfit  # what a ball without any leaves, of the camera's noise
     left: Misfit  # what is left with them
     residuals: tuple[Tensor, Tensor]  # places and standard deviations of small patches before
@@ -90,12 +95,16 @@ def fit_with_marks(fit: SweepFit, frame: Frame) -> MarkedFit | None:
     if found is None:
         return None
     fit, marks = found
+    left = with_coarse_misfit(look_for_misfit(fit), fit)
+    others = [_of_other_width(fit, marks)]
+    if left.factor > UNSETTLED:
+        others.append(plain)
     return MarkedFit(
         fit=fit,
         marks=marks,
-        other=_of_other_width(fit, marks),
+        others=tuple(other for other in others if other is not None),
         before=before,
-        left=with_coarse_misfit(look_for_misfit(fit), fit),
+        left=left,
         residuals=small_patches(plain),
     )
 
@@ -131,7 +140,7 @@ def _marked(fit: SweepFit) -> Found:
 
 
 def _of_other_width(fit: SweepFit, marks: Marks) -> SweepFit | None:
-    """Fit marks of the next likeliest width: what that changes nobody knows better."""
+    """Fit marks of the next likeliest width."""
     model = replace(fit.model, cells=None)
     plain = replace(fit, model=model, seen=compare(model, fit.parameters, fit.pixels))
     others = find_marks(plain, other_than=marks)
@@ -164,15 +173,16 @@ def find_marks(
         other_than: marks whose width is passed over.
     """
     grid = _grid(fit)
-    cells = Cells(number=grid.lane * grid.stretches + grid.stretch, count=grid.count)
+    number, share = grid.lane * grid.stretches + grid.stretch, _shares(fit)
+    cells = Cells(number=number, count=grid.count, share=share)
     sums = cells.sums(fit.seen)
     least, best = sums.cost(fit.seen, NOTHING) - CERTAIN, None
     sizes = [(wide, long) for wide in (*MERGED, grid.lanes) for long in (*MERGED, grid.stretches)]
     for wide, long in sizes if like is None else [(like.wide, like.long)]:
-        number, count = grid.merged(wide, long)
+        larger, count = grid.merged(wide, long)
         if count < FEWEST or (other_than is not None and wide == other_than.wide):
             continue
-        cost, strength = _likeliest(sums.merged(number, count), fit)
+        cost, strength = _likeliest(sums.merged(larger, count), fit)
         if cost < least:
             least = cost
             best = Marks(
@@ -182,7 +192,7 @@ def find_marks(
                 cost=cost,
                 wide=wide,
                 long=long,
-                cells=Cells(number=number[cells.number], count=count, variance=strength**2),
+                cells=Cells(number=larger[number], count=count, share=share, variance=strength**2),
             )
     return best
 
@@ -242,6 +252,21 @@ def _noisier(pixels: StreakPixels, factor: float) -> StreakPixels:
             information=beside.information / factor,
         ),
     )
+
+
+def _shares(fit: SweepFit) -> Tensor:
+    """Give how much stronger marks are before each pixel than on a whole chord [N].
+
+    A pixel shows the mean of all that passes it: the shorter the part of a chord that it sees, near
+    the rims and at the streak's ends, the less the marks on it average out.
+    """
+    passage = fit.seen.coverage.passage
+    height = passage.room.clamp_min(0).sqrt() / fit.model.ball_radius
+    half = (passage.room.clamp_min(0) / passage.stiffness).sqrt().clamp_min(1e-9)
+    first, last = fit.model.exposure_of(fit.pixels)
+    start = ((passage.instant - last) / half).clamp(-1, 1)
+    stop = ((passage.instant - first) / half).clamp(-1, 1)
+    return (height * (stop - start) / 2).clamp_min(SHORTEST).rsqrt()
 
 
 def _travel(fit: SweepFit) -> float:

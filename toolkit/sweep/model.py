@@ -18,6 +18,7 @@ from toolkit.sweep.colours import (
     NARROW,
     BallColours,
     Sight,
+    ahead_colours,
     count_channels,
     is_plain,
     lane_colours,
@@ -105,8 +106,12 @@ class SweepModel:
         shape, _, appearance, _, _ = self.split(x)
         if self.is_plain:
             return plain_colours(self.estimator, appearance)
+        ball, passage = self.estimator, covered.passage
+        if self.is_laned and isinstance(ball, Shaded) and ball.looks_ahead:
+            ahead, exposure = ball.ahead(appearance), self.exposure_of(pixels)
+            return ahead_colours(ball, appearance, ahead, passage, self.ball_radius, exposure)
         if self.is_laned:
-            return lane_colours(self.estimator, appearance, covered.passage, self.ball_radius)
+            return lane_colours(ball, appearance, passage, self.ball_radius)
         sight = Sight(
             passage=covered.passage,
             arcs=self.path.arcs(shape),

@@ -109,15 +109,15 @@ def refine(
         marked = fit_with_marks(fit, frame)
     if marked is None:
         _check_explained(fit, misfit, start)
-        finer = finer_shade(fit, frame)
+        others = tuple(one for one in [finer_shade(fit, frame)] if one is not None)
     else:
         _check_marks(marked)
-        fit, misfit, finer = marked.fit, marked.left, marked.other
+        fit, misfit, others = marked.fit, marked.left, marked.others
         _check_explained(fit, misfit, start)
     uncertainty = sweep_uncertainty(
         fit,
         misfit,
-        finer=finer,
+        others=others,
         light=light,
         ball_radius_std=ball_radius_std,
         exposure_std_share=exposure_std_share,

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator, Chord, Observation
+from toolkit.sweep.chord_table import STEEPEST
 from toolkit.sweep.colours import is_plain
 from toolkit.types import LinearImage, NoiseModel
 
@@ -24,6 +25,9 @@ class Shaded(AlphaEstimator):
     channels: int
     powers: tuple[int, ...] = (1, 2)
     """Of the chord's offset: 0 is another colour, 1 leans, 2 darkens or lights both rims."""
+    is_ahead: bool = False
+    """Whether the ball may be brighter or darker ahead too, which the streak's ends show: linearly
+    from its trailing to its leading rim, none on the mean over a whole chord."""
 
     @staticmethod
     def powers_above(estimator: AlphaEstimator) -> tuple[int, ...]:
@@ -54,7 +58,16 @@ class Shaded(AlphaEstimator):
     def shades(self) -> int:
         """Numbers of the shade, and of one below it."""
         below = self.estimator.shades if isinstance(self.estimator, Shaded) else 0
-        return below + len(self.powers) * self.channels
+        return below + self._own()
+
+    def _own(self) -> int:
+        return (len(self.powers) + self.is_ahead) * self.channels
+
+    @property
+    def looks_ahead(self) -> bool:
+        """Whether parts of a chord differ."""
+        below = self.estimator
+        return self.is_ahead or (isinstance(below, Shaded) and below.looks_ahead)
 
     def observe(
         self, image: LinearImage, background: LinearImage, noise: NoiseModel
@@ -68,7 +81,7 @@ class Shaded(AlphaEstimator):
 
     def unknowns(self) -> int:
         """Those of the other, and the shade's."""
-        return self.estimator.unknowns() + len(self.powers) * self.channels
+        return self.estimator.unknowns() + self._own()
 
     def foreground(self, chord: Chord, appearance: Tensor | None) -> Tensor:
         """Give the other's colour and the shade on top of it."""
@@ -85,6 +98,15 @@ class Shaded(AlphaEstimator):
         shade, change = self._shade(chord, colour, appearance)
         return colour + shade, change if slope is None else slope + change
 
+    def ahead(self, appearance: Tensor) -> Tensor:
+        """Give by how much the leading rim is brighter than the ball's middle [Q]."""
+        own = appearance[-self._own() :].reshape(-1, self.channels)
+        ahead = own[-1] if self.is_ahead else torch.zeros_like(own[0])
+        below = self.estimator
+        return (
+            ahead + below.ahead(appearance[: -self._own()]) if isinstance(below, Shaded) else ahead
+        )
+
     def _below(self, appearance: Tensor | None) -> Tensor | None:
         known = self.estimator.unknowns()
         return None if appearance is None or not known else appearance[:known]
@@ -93,8 +115,13 @@ class Shaded(AlphaEstimator):
         """Give the shade alone and its derivative in the chord's offset."""
         s = chord.offset[..., None].to(like)
         shade, change = torch.zeros_like(like), torch.zeros_like(like)
-        rows = appearance[self.estimator.unknowns() :].to(like)
-        for power, row in zip(self.powers, rows.reshape(len(self.powers), -1), strict=True):
+        rows = appearance[self.estimator.unknowns() :].to(like).reshape(-1, self.channels)
+        if self.is_ahead:
+            middle = torch.as_tensor((chord.start + chord.stop) / 2, dtype=like.dtype)[..., None]
+            height = (1 - s * s).clamp_min(0).sqrt()
+            shade = shade + rows[-1] * height * middle
+            change = change - rows[-1] * middle * s / height.clamp_min(STEEPEST)
+        for power, row in zip(self.powers, rows, strict=False):
             even = 1 / (power + 1) if power and power % 2 == 0 else 0.0
             shade = shade + row * (s**power - even)
             if power:

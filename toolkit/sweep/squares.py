@@ -64,6 +64,15 @@ class Squares:
         picked = (image.flatten(1).index_select(1, flat) for image in images)
         return [values.reshape(len(values), *index.shape) for values in picked]
 
+    def ring(self, image: Tensor) -> Tensor:
+        """Average an image [Q, H, W] around each square [Q, M], 2 and 3 px beyond its border."""
+        count = self.side + 6
+        steps = torch.arange(count)
+        is_beyond = (steps < 2) | (steps >= count - 2)
+        weight = (is_beyond[:, None] | is_beyond).flatten().to(image)
+        (values,) = self.pick(image, border=3)
+        return (weight / weight.sum()) @ values
+
     def slope(self, image: Tensor) -> Tensor:
         """Give the change of an image [Q, H, W] across each square, per px [2, Q, M].
 

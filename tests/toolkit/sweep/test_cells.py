@@ -18,8 +18,15 @@ def seen(streak):
     x[2] *= 1.001
     x[4] += 1e-4
     plain = compare(model, x, pixels)
+    share = torch.linspace(1, 2, len(pixels), dtype=torch.float64)
     number = (pixels.place[:, 0] / 5).long() % COUNT
-    return model, x, pixels, plain, Cells(number=number, count=COUNT, variance=VARIANCE)
+    return (
+        model,
+        x,
+        pixels,
+        plain,
+        Cells(number=number, count=COUNT, share=share, variance=VARIANCE),
+    )
 
 
 def whole(plain, cells):
@@ -31,7 +38,7 @@ def whole(plain, cells):
     information[:P, :P], gradient[:P] = plain.information, plain.gradient
     for q, (J, at) in enumerate(zip(plain.J, plain.columns, strict=True)):
         for k in range(COUNT):
-            light = weight[q] * plain.light[q] * (cells.number == k)
+            light = weight[q] * plain.light[q] * cells.share * (cells.number == k)
             information[P + k, P + k] += light @ light
             information[at, P + k] += J @ light
             information[P + k, at] += J @ light
@@ -65,7 +72,7 @@ def test_a_change_of_the_picture_is_answered_with_the_lights_let_free(seen):
     pull = torch.zeros(P + COUNT, dtype=torch.float64)
     for q, (J, at) in enumerate(zip(plain.J, plain.columns, strict=True)):
         pull[at] += J @ change[q]
-        light = plain.weight[q] * plain.light[q]
+        light = plain.weight[q] * plain.light[q] * cells.share
         pull[P:].index_add_(0, cells.number, light * change[q])
     expected = torch.linalg.solve(information, pull)[:P]
     assert torch.allclose(cells.freed(plain).answer(change), expected, rtol=1e-4, atol=1e-9)
@@ -83,7 +90,7 @@ def test_the_least_cost_is_at_the_lights_that_are_there(seen):
     _, _, _, plain, cells = seen
     lights = 0.2 * torch.randn(COUNT, generator=torch.Generator().manual_seed(2)).double()
     quiet = torch.randn(plain.residual.shape, generator=torch.Generator().manual_seed(3)).double()
-    at = replace(plain, residual=quiet + plain.light * lights[cells.number])
+    at = replace(plain, residual=quiet + plain.light * cells.share * lights[cells.number])
     at = replace(at, gradient=_gradient(at))
     sums = cells.sums(at)
     costs = {std: sums.cost(at, std**2) for std in (0.005, 0.02, 0.2, 2.0)}
@@ -105,7 +112,8 @@ def test_merged_sums_are_those_of_larger_cells(seen):
     _, _, _, plain, cells = seen
     number = torch.tensor([0, 0, 1, 1, 2, 2, 2])
     merged = cells.sums(plain).merged(number, 3)
-    larger = Cells(number=number[cells.number], count=3, variance=VARIANCE).sums(plain)
+    number = number[cells.number]
+    larger = Cells(number=number, count=3, share=cells.share, variance=VARIANCE).sums(plain)
     assert torch.allclose(merged.pull, larger.pull)
     assert torch.allclose(merged.hold, larger.hold)
     assert torch.allclose(merged.shared, larger.shared)

@@ -29,7 +29,7 @@ def found(seen):
     uncertainty = sweep_uncertainty(
         fit,
         misfit,
-        finer=None,
+        others=(),
         ball_radius_std=0.0,
         exposure_std_share=0.0,
         response_changes=torch.zeros(0),

@@ -21,7 +21,7 @@ def seen(streak):
 
 def doubt_of(fit, **changes):
     options = {
-        "finer": None,
+        "others": (),
         "ball_radius_std": 0.0,
         "exposure_std_share": 0.0,
         "response_changes": torch.zeros(0),
@@ -50,7 +50,7 @@ def test_noise_is_the_inverse_of_the_information(seen):
     wider = sweep_uncertainty(
         fit,
         SimpleNamespace(factor=3.0),
-        finer=None,
+        others=(),
         ball_radius_std=0.0,
         exposure_std_share=0.0,
         response_changes=torch.zeros(0),
@@ -152,7 +152,7 @@ def test_what_a_finer_shade_changes_counts_as_one_standard_deviation(seen):
     x = fit.parameters.clone()
     x[:6] += 0.01 * seen.scene.ball_radius
     finer = replace(fit, parameters=x)
-    order = doubt_of(fit, finer=finer).order
+    order = doubt_of(fit, others=(finer,)).order
     change = motion_of(finer).state() - motion_of(fit).state()
     assert torch.allclose(order, torch.outer(change, change))
 

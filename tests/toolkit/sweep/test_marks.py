@@ -86,7 +86,7 @@ def test_the_strength_is_found_of_marks_that_are_there(streak):
     noise = torch.randn(fit.seen.residual.shape, generator=torch.Generator().manual_seed(1))
     cells = find_marks_grid(fit)
     lights = 0.1 * torch.randn(cells.count, generator=torch.Generator().manual_seed(5)).double()
-    residual = noise.double() + fit.seen.light * lights[cells.number]
+    residual = noise.double() + fit.seen.light * cells.share * lights[cells.number]
     gradient = torch.zeros_like(fit.seen.gradient)
     for q, (J, at) in enumerate(zip(fit.seen.J, fit.seen.columns, strict=True)):
         gradient[at] -= J @ residual[q]
@@ -106,11 +106,12 @@ def fit_of(fit, residual, gradient):
 
 def find_marks_grid(fit):
     from toolkit.sweep.cells import Cells
-    from toolkit.sweep.marks import _grid
+    from toolkit.sweep.marks import _grid, _shares
 
     grid = _grid(fit)
     number, count = grid.merged(4, 4)
-    return Cells(number=number[grid.lane * grid.stretches + grid.stretch], count=count)
+    number = number[grid.lane * grid.stretches + grid.stretch]
+    return Cells(number=number, count=count, share=_shares(fit))
 
 
 def test_small_patches_are_smaller_and_hold_all_of_the_streak(streak):

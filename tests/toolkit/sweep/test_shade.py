@@ -81,3 +81,38 @@ def test_a_ball_of_known_colour_may_show_another_once_it_is_shaded():
     plain = base.foreground(chord(), None)
     assert torch.allclose(value, plain + looks[:3])
     assert torch.equal(slope, torch.zeros_like(slope))
+
+
+def test_light_ahead_shows_on_parts_of_a_chord_alone():
+    one = shaded(is_ahead=True)
+    assert one.unknowns() == one.shades == 9
+    assert one.looks_ahead
+    assert Shaded(estimator=one, channels=3, powers=(3, 4)).looks_ahead
+    assert not shaded().looks_ahead
+    looks = torch.tensor([0.0] * 6 + [0.2, 0.1, 0.0], dtype=torch.float64)
+    plain = Uniform(colour=COLOUR).foreground(chord(), None)
+    assert torch.allclose(one.foreground(chord(), looks), plain)
+    s = chord().offset
+    leading = Chord(offset=s, direction=chord().direction, start=0.0, stop=1.0)
+    expected = torch.tensor([0.2, 0.1, 0.0], dtype=torch.float64) * (1 - s * s).sqrt()[:, None] / 2
+    assert torch.allclose(one.foreground(leading, looks) - plain, expected)
+    above = Shaded(estimator=one, channels=3, powers=(3, 4))
+    more = torch.cat([looks, torch.zeros(6, dtype=torch.float64)])
+    assert torch.equal(above.ahead(more), looks[6:])
+
+
+def test_light_ahead_is_the_mean_of_the_ball_s_light_along_the_part():
+    """Against the light summed up along parts of chords of a ball lit linearly from the front."""
+    one, lean = shaded(is_ahead=True), 0.3
+    looks = torch.tensor([0.0] * 6 + [lean, 0.0, 0.0], dtype=torch.float64)
+    for offset, start, stop in ((0.3, -1.0, -0.2), (-0.6, -0.5, 0.9), (0.0, 0.4, 1.0)):
+        places = torch.linspace(start, stop, 2001, dtype=torch.float64)
+        ahead = places * (1 - offset * offset) ** 0.5
+        expected = COLOUR[0] + lean * float(ahead.mean())
+        part = Chord(
+            offset=torch.tensor([offset], dtype=torch.float64),
+            direction=torch.zeros(1, dtype=torch.float64),
+            start=start,
+            stop=stop,
+        )
+        assert abs(float(one.foreground(part, looks)[0, 0]) - expected) < 1e-9
