@@ -6,6 +6,7 @@ import torch
 from plugins.two_colour import TwoColour
 from plugins.uniform import Uniform
 from toolkit import Camera
+from toolkit.box_filter import ring_mean
 from toolkit.sweep.pixels import Beside, Frame
 from toolkit.sweep.rays import RayGrid
 from toolkit.synthetic import add_noise
@@ -238,3 +239,20 @@ def test_the_lens_mixes_rim_and_ground_by_their_joint_change(short):
     slope = slope[:, : len(coarse)]
     share = coarse.behind_lens(slope, 0.6).mixed / -(slope[:, None] * coarse.ground_slope).sum(0)
     assert torch.allclose(share, torch.tensor(0.6 + 8 / 12).double())
+
+
+@pytest.mark.parametrize("side", [1, 3])
+def test_the_ring_about_a_square_leaves_out_its_own_light(short, side):
+    ground = short.frame().ground
+    squares = short.pixels(side).squares[0]
+    at = len(squares) // 2
+    ring = squares.ring(ground)[:, at]
+    if side == 1:
+        column, row = squares.corner[at].tolist()
+        assert torch.allclose(ring, ring_mean(ground[None])[0, :, row, column], atol=1e-5)
+    column, row = squares.corner[at].tolist()
+    own = torch.zeros_like(ground)
+    own[:, row - 1 : row + side + 1, column - 1 : column + side + 1] = 1
+    assert torch.equal(squares.ring(ground + own)[:, at], ring)
+    own[:, row + side + 1, column] = 1
+    assert (squares.ring(ground + own)[:, at] > ring).all()
