@@ -105,7 +105,14 @@ def most_likely_motion(frame: Frame, model: SweepModel, start: Start) -> SweepFi
             break
         fit = trial
     if fine > 1:
-        fit = fit_sweep(fit.model, fit.parameters, frame, doubt=1.0, contrast=_contrast(fit))
+        fit = fit_sweep(
+            fit.model,
+            fit.parameters,
+            frame,
+            doubt=1.0,
+            contrast=_contrast(fit),
+            contraction=fit.contraction,
+        )
     return fit
 
 
@@ -261,4 +268,4 @@ def _gain(fit: SweepFit, trial: SweepFit) -> float:
 
 def _saved(fit: SweepFit, trial: SweepFit) -> float:
     """Chi-square that another fit saves on the same pixels."""
-    return compare(fit.model, fit.parameters, trial.pixels).cost - trial.seen.cost
+    return compare(fit.model, fit.parameters, trial.pixels).cost - trial.cost

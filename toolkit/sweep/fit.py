@@ -17,6 +17,8 @@ MAX_STEPS = 40
 SETTLED = 0.05
 """Chi-square that a further step may promise: shared among a dozen numbers, each then lies within a
 tenth of a standard deviation of the most likely one."""
+UNSEEN = 2.0
+"""Chi-square that the last step may promise whose end is not looked at."""
 ROUGHLY = 0.5
 """The same on coarse squares."""
 FIRST_DAMPING = 1e-4
@@ -40,9 +42,16 @@ class SweepFit:
     model: SweepModel
     parameters: Tensor  # [P]
     pixels: StreakPixels
-    seen: Comparison
+    seen: Comparison  # at the last look, one small step before
     converged: bool
     iterations: int
+    promised: float = 0.0  # chi-square that this last step saves
+    contraction: float = 1.0  # what a step promises, over what the one before it did
+
+    @property
+    def cost(self) -> float:
+        """What the misfit of the parameters costs."""
+        return self.seen.cost - self.promised
 
     @property
     def covariance(self) -> Tensor:
@@ -70,6 +79,7 @@ def fit_sweep(
     side: int = 1,
     doubt: float = 0.0,
     contrast: float | None = None,
+    contraction: float = 1.0,
     most_steps: int | None = None,
 ) -> SweepFit:
     """Find the most likely parameters, all pixels compared or squares of them.
@@ -82,6 +92,7 @@ def fit_sweep(
         doubt: px by which the start may be off.
         contrast: of ball and ground, light. Where it is told and single pixels are compared,
             squares stand for those far inside the streak, which loses next to nothing.
+        contraction: what a step promises over what the one before it did, where that is known.
         most_steps: after which the search gives up.
     """
     path_px, half_width = outline(model, start)
@@ -96,7 +107,15 @@ def fit_sweep(
     pixels = pixels.behind_lens(slope, float(start[model.path.size]))
     seen = compare(model, start, pixels, covered=covered)
     tolerance = SETTLED if side == 1 else ROUGHLY
-    return search(model, start, pixels, seen, tolerance=tolerance, most_steps=most_steps)
+    return search(
+        model,
+        start,
+        pixels,
+        seen,
+        tolerance=tolerance,
+        contraction=contraction,
+        most_steps=most_steps,
+    )
 
 
 def search(
@@ -106,10 +125,15 @@ def search(
     seen: Comparison,
     *,
     tolerance: float,
+    contraction: float = 1.0,
     most_steps: int | None = None,
 ) -> SweepFit:
-    """Search by damped Gauss-Newton steps from what is seen until one promises hardly any gain."""
-    x, damping = start, FIRST_DAMPING
+    """Search by damped Gauss-Newton steps from what is seen until no next one is worth a look.
+
+    Near the end each step promises a known small share of what the one before did: where that is
+    less than the tolerance, the last step is taken, and what it leads to is not looked at.
+    """
+    x, damping, promised, last = start, FIRST_DAMPING, 0.0, math.inf
     converged, iterations, k = False, 0, model.path.size
     most_steps = MAX_STEPS if most_steps is None else most_steps
     while iterations < most_steps:
@@ -118,15 +142,20 @@ def search(
         if not least <= float(step[k]) <= most:
             bounded = min(max(float(step[k]), least), most)
             step, gain = seen.step(damping, held=(k, bounded))
-        if gain < tolerance:
+        if last < math.inf:
+            contraction = min(max(gain, 0.0) / last, 1.0)
+        is_possible = _is_in_front(model, x + step)
+        if gain < max(tolerance, UNSEEN) and gain * contraction < tolerance:
             converged = math.isfinite(seen.cost)
+            if converged and is_possible:
+                x, promised = x + step, gain
             break
         iterations += 1
-        trial = compare(model, x + step, pixels) if _is_in_front(model, x + step) else None
+        trial = compare(model, x + step, pixels) if is_possible else None
         if trial is not None and trial.cost <= seen.cost:
-            x, seen, damping = x + step, trial, damping * 0.1
+            x, seen, damping, last = x + step, trial, damping * 0.1, gain
         else:
-            damping = max(damping * 10, 1e-2)
+            damping, last, contraction = max(damping * 10, 1e-2), math.inf, 1.0
     return SweepFit(
         model=model,
         parameters=x,
@@ -134,6 +163,8 @@ def search(
         seen=seen,
         converged=converged,
         iterations=iterations,
+        promised=promised,
+        contraction=contraction,
     )
 
 

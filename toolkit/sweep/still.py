@@ -37,7 +37,7 @@ def looks_still(fit: SweepFit, misfit: Misfit) -> bool:
     if fit.model.path != STRAIGHT or _travel(fit) > SHORT * 2 * fit.model.ball_radius:
         return False
     at_rest = _cost_with(fit, _toward(fit) * SLOWEST * fit.model.ball_radius)
-    return at_rest - fit.seen.cost < TOLD_FROM_REST * misfit.factor
+    return at_rest - fit.cost < TOLD_FROM_REST * misfit.factor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,7 +51,7 @@ class SpeedLimit:
 def speed_limit(fit: SweepFit, misfit: Misfit) -> SpeedLimit:
     """Find how fast the ball can have been at most, whichever way it went."""
     at_rest = _cost_with(fit, _toward(fit) * SLOWEST * fit.model.ball_radius)
-    allowed = max(fit.seen.cost, at_rest) + LIMIT * misfit.factor
+    allowed = max(fit.cost, at_rest) + LIMIT * misfit.factor
     flat, ahead = _directions(fit)
     across = max(_limit_along(fit, direction, allowed) for direction in flat)
     return SpeedLimit(any_way=max(across, _limit_along(fit, ahead, allowed)), across=across)

@@ -112,7 +112,8 @@ def test_all_lengths_scale_with_the_radius_exactly(seen):
     model = replace(fit.model, ball_radius=1.01 * fit.model.ball_radius)
     x = fit.parameters.clone()
     x[:6] *= 1.01
-    assert compare(model, x, fit.pixels).cost == pytest.approx(fit.seen.cost, rel=1e-9)
+    same = compare(fit.model, fit.parameters, fit.pixels)
+    assert compare(model, x, fit.pixels).cost == pytest.approx(same.cost, rel=1e-9)
     state = motion_of(fit).state()
     by_radius = doubt_of(fit, ball_radius_std=0.01 * fit.model.ball_radius).radius
     change = motion_of(replace(fit, parameters=x)).state() - state

@@ -42,7 +42,8 @@ def test_from_anywhere_near_it_comes_to_the_same_end(short):
 
 def test_at_the_end_no_step_promises_more(short):
     fit = short.fit()
-    _, gain = fit.seen.step()
+    end = compare(fit.model, fit.parameters, fit.pixels)
+    _, gain = end.step()
     assert 0 <= gain < 0.02
     # and none keeps more than it promises
     generator = torch.Generator().manual_seed(0)
@@ -51,9 +52,7 @@ def test_at_the_end_no_step_promises_more(short):
         step = factor @ torch.randn(len(fit.parameters), generator=generator).double()
         other = compare(fit.model, fit.parameters + step, fit.pixels)
         information = fit.seen.information
-        assert other.cost - fit.seen.cost == pytest.approx(
-            float(step @ information @ step), rel=0.2
-        )
+        assert other.cost - end.cost == pytest.approx(float(step @ information @ step), rel=0.2)
 
 
 def test_the_state_is_that_of_the_path(short):
@@ -99,10 +98,26 @@ def test_the_cost_never_rises(short):
     model, x = short.model(), away(short, by=0.5)
     start = compare(model, x, pixels)
     fit = search(model, x, pixels, start, tolerance=1e-2)
-    assert fit.seen.cost < start.cost
-    assert torch.allclose(
-        fit.seen.gradient, compare(model, fit.parameters, pixels).gradient, atol=1e-6
-    )
+    end = compare(model, fit.parameters, pixels)
+    assert end.cost < fit.seen.cost < start.cost
+    # what the last step leads to was not looked at, and is what it promised
+    assert 0 < fit.promised < 2
+    assert end.cost == pytest.approx(fit.cost, abs=0.05)
+    assert end.step()[1] < 0.01
+
+
+def test_the_last_step_is_looked_at_where_steps_converge_slowly(short):
+    """As long as no two steps have told how fast they get smaller, and where they hardly do."""
+    model, fit = short.model(), short.fit()
+    pixels, near = fit.pixels, fit.parameters + 0.02 * std_of(fit)
+    seen = compare(model, near, pixels)
+    _, gain = seen.step(1e-4)
+    assert 0.1 < gain < 2
+    once = search(model, near, pixels, seen, tolerance=gain / 2, contraction=0.1)
+    assert (once.iterations, once.promised) == (0, pytest.approx(gain))
+    twice = search(model, near, pixels, seen, tolerance=gain / 2, contraction=0.9)
+    assert twice.iterations == 1
+    assert twice.contraction < 0.2
 
 
 def test_a_ball_never_goes_through_the_camera(short):
