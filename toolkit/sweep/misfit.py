@@ -136,6 +136,8 @@ def with_coarse_misfit(misfit: Misfit, fit: SweepFit) -> Misfit:
 def beside_excess(fit: SweepFit) -> float:
     """Give the mean squared misfit of patches that the ball never covers, 1 where only noise is."""
     index = (fit.seen.coverage.alpha <= COVERED).nonzero()[:, 0]
+    if not len(index):
+        return 1.0
     residual = fit.seen.residual[:, index]
     used = (residual != 0).sum(0).double()
     sigma, _, _ = _patch_sigmas(_cell(fit.pixels.place[index], PATCH), residual.sum(0), used)
@@ -163,8 +165,6 @@ def _middles(place: Tensor, inverse: Tensor, count: int) -> Tensor:
 
 def _cell(place: Tensor, side: int) -> Tensor:
     """Number the squares that hold the places [N, 2] px."""
-    if not len(place):
-        return torch.zeros(0, dtype=torch.long)
     cell = (place / side).floor().long()
     cell = cell - cell.amin(0)
     return cell[:, 1] * (int(cell[:, 0].max()) + 1) + cell[:, 0]

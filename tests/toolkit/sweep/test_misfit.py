@@ -6,6 +6,7 @@ import torch
 from toolkit.sweep.fit import fit_sweep
 from toolkit.sweep.misfit import (
     COVERED,
+    beside_excess,
     bulk_excess,
     look_for_misfit,
     mean_square,
@@ -164,3 +165,13 @@ def test_squares_are_counted_as_the_single_pixels_they_stand_for(streak, excess)
         assert len(by_squares.pixels.squares) == 2
         expected = look_for_misfit(by_pixels).pixels
         assert look_for_misfit(by_squares).pixels == pytest.approx(expected, rel=0.06)
+
+
+def test_what_changed_beside_the_ball_is_told_from_noise(plain):
+    fit = plain.fit()
+    assert beside_excess(fit) == pytest.approx(1, abs=0.6)
+    is_beside = fit.seen.coverage.alpha <= COVERED
+    shadow = replace(fit.seen, residual=fit.seen.residual - 0.7 * is_beside)
+    assert beside_excess(replace(fit, seen=shadow)) > 4
+    covered = replace(fit.seen.coverage, alpha=torch.ones_like(fit.seen.coverage.alpha))
+    assert beside_excess(replace(fit, seen=replace(fit.seen, coverage=covered))) == 1
