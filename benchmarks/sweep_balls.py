@@ -11,6 +11,9 @@ from every pixel of the background (norm of three channels):
   are held against two of their own (`sweep_light_bound`), which count what such a picture leaves
   open: that of a smooth shade, which is what `known-shading` knows, and that of the very family of
   these balls, which it does not;
+- two lamps, seen: the same with a second lamp elsewhere before the ball, half as strong as the
+  first, which a smooth shade with one lamp is not made for: what counts is that positions lie
+  within three stated deviations, or that the result says that something is doubtful;
 - striped: 2 to 6 stripes of two pigments, evenly lit, turning 2 to 6 times within the exposure;
   `two-colour` is given the pigments. Every pixel of the background lies at least 0.15 from their
   plane;
@@ -54,6 +57,7 @@ from sweep_score import (
     score,
     summary,
 )
+from torch import Tensor
 
 from plugins.known_shading import KnownShading
 from plugins.two_colour import TwoColour
@@ -75,9 +79,13 @@ Generator = np.random.Generator
 Array = NDArray[np.float64]
 
 AMBIENT, LAMP_ANGLE = 0.4, math.radians(50)
+SECOND_LAMP = 1 / 3
+"""Share of both lamps' light that is the second's."""
 TURNS, STRIPES = (2.0, 6.0), (2, 7)
 TURN_DEG = (0, 3, 8, 31)
 """Between which shots are told apart by how far the view turns."""
+SAFE = 3.0
+"""Stated deviations within which a position is to lie where no caution warns."""
 INSTANTS = 40
 """Of the exposure, over which a ball's colour is averaged."""
 OFF_PLANE, APART = 0.15, math.radians(15)
@@ -90,7 +98,21 @@ class Kind:
 
     paint: Callable[[Scene, Generator], Appearance]
     know: Callable[[RenderedShot, int], AlphaEstimator]
-    is_seen: bool = False  # its light in a sharp picture
+    has_own_bound: bool = False  # that counts what a sharp picture tells of its light
+
+
+@dataclass(frozen=True, kw_only=True)
+class TwoLamps:
+    """A matt ball before two distant lamps, in a room of even light."""
+
+    first: LitBall
+    second: LitBall
+    share: float = SECOND_LAMP
+
+    def __call__(self, normal: Tensor, time: float) -> Tensor:
+        """Give the light at each normal, [N, 3]."""
+        first, second = self.first(normal, time), self.second(normal, time)
+        return first + self.share * (second - first)
 
 
 def shade(pattern: Appearance, generator: Generator) -> LitBall:
@@ -99,6 +121,13 @@ def shade(pattern: Appearance, generator: Generator) -> LitBall:
     across = math.sin(angle)
     light = (across * math.cos(turn), across * math.sin(turn), -math.cos(angle))
     return LitBall(pattern=pattern, light=light, ambient=AMBIENT)
+
+
+def two_lamps(scene: Scene, generator: Generator) -> TwoLamps:
+    """Paint a ball of one pigment and put it before two lamps."""
+    first = lit(one_pigment, scene, generator)
+    x, y, z = direction(generator).tolist()
+    return TwoLamps(first=first, second=replace(first, light=(x, y, -abs(z))))
 
 
 def one_pigment(_: Scene, generator: Generator) -> PlainBall:
@@ -161,7 +190,8 @@ def lit(
 
 KINDS = {
     "shaded": Kind(paint=partial(lit, one_pigment), know=know_exactly),
-    "shaded, seen": Kind(paint=partial(lit, one_pigment), know=see_sharply, is_seen=True),
+    "shaded, seen": Kind(paint=partial(lit, one_pigment), know=see_sharply, has_own_bound=True),
+    "two lamps, seen": Kind(paint=two_lamps, know=see_sharply),
     "striped": Kind(paint=stripes, know=name_pigments),
     "lit stripes": Kind(paint=partial(lit, stripes), know=name_pigments),
 }
@@ -187,7 +217,7 @@ def run_shot(seed: int, *, name: str, cache: Path | None) -> Row:
     except ToolkitError as refusal:
         return row | {"refused": f"sharp picture: {refusal}"}
     row |= score(shot, estimator)
-    if not kind.is_seen:
+    if not kind.has_own_bound:
         return row
     bound = LightBound(shot, seed)
     own = {
@@ -233,6 +263,19 @@ def by_turn(rows: list[Row]) -> str:
     return "\n".join(lines)
 
 
+def safe(rows: list[Row]) -> str:
+    """Say how often positions lie within three stated deviations, or a caution warns."""
+    rows = [row for row in rows if row["refused"] is None]
+    errors = np.abs(column(rows, "error") / column(rows, "std"))[:, :3]
+    is_near = (errors < SAFE).all(axis=1)
+    is_warned = np.array([bool(row["cautions"]) for row in rows])
+    return (
+        f"{len(rows)} measured: position within {SAFE:.0f} stated deviations in "
+        f"{is_near.mean():.3f}, or a caution in {(is_near | is_warned).mean():.3f}; "
+        f"a caution on {is_warned.mean():.3f}"
+    )
+
+
 def main() -> None:
     """Print a summary of each kind."""
     parser = argparse.ArgumentParser(
@@ -251,8 +294,8 @@ def main() -> None:
         work = partial(run_shot, name=name, cache=arguments.cache)
         rows = list(in_processes(work, seeds, arguments.workers))
         everything += rows
-        print(f"--- {name}\n{summary(rows)}\n{by_turn(rows)}\n", flush=True)
-        if KINDS[name].is_seen:
+        print(f"--- {name}\n{summary(rows)}\n{by_turn(rows)}\n{safe(rows)}\n", flush=True)
+        if KINDS[name].has_own_bound:
             print(over_own(rows), flush=True)
     if arguments.save is not None:
         save_rows(arguments.save, everything)
