@@ -119,9 +119,7 @@ def test_a_measured_curve_errs_in_its_own_ways(seen, doubt):
     view = observe_streak(image, background, seen.estimator)
     view = replace(view, corner=(0, 0), shot=image, background=background)
     frame, fit = seen.frame(), seen.fit()
-    known = judge_linearity(
-        replace(view, observation=observed(seen)), fit, 1.0
-    ).known
+    known = judge_linearity(replace(view, observation=observed(seen)), fit, 1.0).known
     assert known == pytest.approx(doubt.exponent_std())
     changes = response_changes(view, seen.estimator, frame, fit, Linearity(known=known))
     assert len(changes) == 2
