@@ -248,8 +248,10 @@ def numbers(values: Any) -> Any:
         >>> numbers(torch.tensor([[1.0, 2.0], [3.0, 4.0]]))
         ((1.0, 2.0), (3.0, 4.0))
     """
-    return _tuples(values.tolist())
+    return _tuples(values.tolist(), values.ndim)
 
 
-def _tuples(values: Any) -> Any:
-    return tuple(_tuples(value) for value in values) if isinstance(values, list) else values
+def _tuples(values: Any, depth: int) -> Any:
+    if depth < 2:
+        return tuple(values) if depth else values
+    return tuple(_tuples(value, depth - 1) for value in values)

@@ -30,7 +30,7 @@ PROLONGED = 0.1
 """Share of its time by which a path is drawn longer where a start is held against it: the start's
 ends are rough along the path."""
 SAMPLES, DENSE = 65, 513
-FINE, COARSE = 12.0, 7.0
+FINE, COARSE = 10.0, 7.0
 """Squares to the half width: where the path is chosen, and where a rough start is bettered."""
 LARGEST_SQUARE = 6
 """px, where the path is chosen."""

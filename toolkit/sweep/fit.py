@@ -17,7 +17,7 @@ MAX_STEPS = 40
 SETTLED = 0.05
 """Chi-square that a further step may promise: shared among a dozen numbers, each then lies within a
 tenth of a standard deviation of the most likely one."""
-UNSEEN = 2.0
+UNSEEN = 4.0
 """Chi-square that the last step may promise whose end is not looked at."""
 ROUGHLY = 0.5
 """The same on coarse squares."""

@@ -129,9 +129,9 @@ class Frame:
         return cls(
             corner=view.corner,
             usable=~view.clipped[0, 0] & (both.amin(0) < torch.inf),
-            signal=seen.signal[0],
-            ground=seen.ground[0],
-            shot_variance=own,
+            signal=seen.signal[0].contiguous(),
+            ground=seen.ground[0].contiguous(),
+            shot_variance=own.contiguous(),
             ground_variance=ground_variance,
             camera=camera,
         )
@@ -140,6 +140,10 @@ class Frame:
     def measured(self) -> Tensor:
         """1 where a channel of a pixel can be used, else 0 [Q, H, W]."""
         return (self.usable & (self.shot_variance < torch.inf)).to(self.signal)
+
+    @cached_property
+    def _is_whole(self) -> bool:
+        return bool(self.measured.min() > 0)
 
     def noisier(self, factor: float) -> "Frame":
         """Give the same with all variances multiplied."""
@@ -243,24 +247,25 @@ class Frame:
     def _read(self, squares: Squares) -> "_Reading":
         """Average what squares show, over the pixels where something was measured."""
         maps = (self.signal, self.ground, self.shot_variance, self.ground_variance)
-        used, *values = squares.pick(self.measured, *maps)
+        if self._is_whole:
+            count = squares.side**2
+            signal, ground, shot, empty = (
+                values.mean(1).double() for values in squares.pick(*maps)
+            )
+            return _Reading(squares, (signal, ground, shot / count, empty / count))
+        used, signal, ground, shot, empty = squares.pick(self.measured, *maps)
         count = used.sum(1)
-        if squares.side > 1:
-            share = used / count.clamp_min(1)[:, None]
-            signal, ground, shot, empty = values
-            # an infinite variance is left out as well
-            shot = shot.clamp_max(LARGEST)
-            weights = (share, share, share * share, share * share)
-            values = [
-                each * w for each, w in zip((signal, ground, shot, empty), weights, strict=True)
-            ]
-        signal, ground, shot, empty = (each.sum(1).double() for each in values)
-        shot = torch.where(count > 0, shot, torch.inf)
         is_seen = count.amax(0) > 0
-        if bool(is_seen.all()):
-            return _Reading(squares, (signal, ground, shot, empty))
-        seen = tuple(each[:, is_seen] for each in (signal, ground, shot, empty))
-        return _Reading(squares[is_seen], seen)
+        share = used / count.clamp_min(1)[:, None]
+        # an infinite variance is left out as well
+        shot = (shot.clamp_max(LARGEST) * share * share).sum(1)
+        means = (
+            (signal * share).sum(1),
+            (ground * share).sum(1),
+            torch.where(count > 0, shot, torch.inf),
+            (empty * share * share).sum(1),
+        )
+        return _Reading(squares[is_seen], tuple(each[:, is_seen].double() for each in means))
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,7 +27,7 @@ from toolkit.view import StreakView
 
 UNEXPLAINED = 10.0
 """Squared misfit over noise from which the exact image is not that of the ball."""
-OTHER_COLOUR = 20.0
+OTHER_COLOUR = 14.0
 """Squared misfit of all the streak alike, over that of its pixels, of another colour than known."""
 SOFTEST = 0.95 * LARGEST_SPREAD
 """px^2, of lens and pixel: what is softer is no rim of a ball."""

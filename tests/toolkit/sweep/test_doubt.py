@@ -88,7 +88,7 @@ def test_the_camera_s_covariance_is_what_refitting_through_others_gives(streak, 
             model = replace(fit.model, camera=other)
             moved = fit_sweep(model, fit.parameters, replace(frame, camera=other), doubt=1.0)
             # to the very end
-            step, _ = moved.seen.step()
+            step, _ = compare(model, moved.parameters, moved.pixels).step()
             moved = replace(moved, parameters=moved.parameters + step)
             states.append(motion_of(moved).state()[KEPT])
         columns.append((states[0] - states[1]) / 2)
