@@ -125,7 +125,7 @@ def test_a_camera_known_exactly_needs_no_caution(shot):
 
 
 @pytest.mark.parametrize(
-    ("stage", "code"), [("contours", "opacity-and-ends-disagree"), ("sweep", "other-light")]
+    ("stage", "code"), [("contours", "opacity-and-ends-disagree"), ("sweep", "other-colour")]
 )
 def test_a_wrong_colour_shows_and_widens_the_speed(shot, stage, code):
     red, green, blue = shot.scene.appearance.colour

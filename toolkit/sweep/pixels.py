@@ -248,11 +248,11 @@ class Frame:
         """Average what squares show, over the pixels where something was measured."""
         maps = (self.signal, self.ground, self.shot_variance, self.ground_variance)
         if self._is_whole:
-            count = squares.side**2
+            size = squares.side**2
             signal, ground, shot, empty = (
                 values.mean(1).double() for values in squares.pick(*maps)
             )
-            return _Reading(squares, (signal, ground, shot / count, empty / count))
+            return _Reading(squares, (signal, ground, shot / size, empty / size))
         used, signal, ground, shot, empty = squares.pick(self.measured, *maps)
         count = used.sum(1)
         is_seen = count.amax(0) > 0
