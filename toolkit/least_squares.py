@@ -161,11 +161,11 @@ def solve_information(information: Tensor, right: Tensor, damping: float = 0.0) 
 
     Args:
         information: symmetric, positive [K, K].
-        right: [K].
+        right: [..., K].
         damping: the least.
 
     Returns:
-        x [K].
+        x [..., K].
     """
     scale = information.diagonal().clamp_min(TINY).rsqrt()
     system = information * torch.outer(scale, scale)
@@ -173,11 +173,12 @@ def solve_information(information: Tensor, right: Tensor, damping: float = 0.0) 
         return torch.zeros_like(right)
     for more in (damping, max(damping, 1e-10), max(damping, 1e-7), max(damping, 1e-4), 1.0):
         factor, failed = torch.linalg.cholesky_ex(
-            system + more * torch.eye(len(right), dtype=system.dtype)
+            system + more * torch.eye(len(system), dtype=system.dtype)
         )
         if not int(failed):
             break
-    return torch.cholesky_solve((right * scale)[:, None], factor)[:, 0] * scale
+    columns = (right * scale).reshape(-1, len(scale)).mT
+    return torch.cholesky_solve(columns, factor).mT.reshape(right.shape) * scale
 
 
 def invert_information(information: Tensor) -> Tensor:

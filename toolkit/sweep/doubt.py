@@ -142,6 +142,5 @@ def _camera_covariance(fit: SweepFit, J: Tensor) -> Tensor | None:
     rays = fit.pixels.rays.unit.mT
     # what is seen stays where it is while the model moves, by this for each parameter
     moved = torch.einsum("xn,nxp->pn", slope, camera.J_parameters(rays))
-    answers = [fit.seen.answer(alpha * fit.seen.contrast)[:k] for alpha in moved]
-    change = J @ torch.stack(answers, dim=-1)
+    change = J @ fit.seen.answer(moved[:, None] * fit.seen.contrast)[:, :k].mT
     return change @ camera.covariance @ change.mT

@@ -56,14 +56,14 @@ class Comparison:
         return (self.contrast * self.contrast).sum(0)
 
     def answer(self, change: Tensor) -> Tensor:
-        """Give the change of the parameters [P] that a change of the whitened picture causes.
+        """Give the change of the parameters [..., P] that a change of the whitened picture causes.
 
         Args:
-            change: of the pixels, in standard deviations [Q, N].
+            change: of the pixels, in standard deviations [..., Q, N].
         """
-        pull = torch.zeros_like(self.gradient)
+        pull = torch.zeros(*change.shape[:-2], len(self.gradient), dtype=torch.float64)
         for q, (J, at) in enumerate(zip(self.J, self.columns, strict=True)):
-            pull[at] += J @ change[q]
+            pull[..., at] += change[..., q, :] @ J.mT
         return solve_information(self.information, pull)
 
     def step(

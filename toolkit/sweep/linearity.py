@@ -17,6 +17,7 @@ from toolkit.demosaicing import tile
 from toolkit.response import CurveDoubt
 from toolkit.sweep.fit import SweepFit
 from toolkit.sweep.pixels import Frame
+from toolkit.sweep.squares import Squares
 from toolkit.types import LinearImage
 from toolkit.view import StreakView
 
@@ -82,13 +83,19 @@ def _bend(view: StreakView, fit: SweepFit) -> Tensor:
     exponent wherever the noise itself is known a little wrong.
     """
     pixels, alpha = fit.pixels, fit.seen.coverage.alpha
-    rings = [squares.ring(view.observation.ground[0]) for squares in pixels.squares]
-    ground = torch.cat(rings, dim=-1).double()
+    ground = torch.cat([_around(squares, view) for squares in pixels.squares], dim=-1).double()
     ball = fit.model.colours(fit.parameters, pixels, fit.seen.coverage).colour
     both = alpha * ball + (1 - alpha) * ground
     change = _power_slope(both) - alpha * _power_slope(ball) - (1 - alpha) * _power_slope(ground)
     rest = 1 - alpha
     return change / (pixels.shot_variance + rest**2 * pixels.ground_variance).sqrt()
+
+
+def _around(squares: Squares, view: StreakView) -> Tensor:
+    """Give the background's light around each square [Q, M], without its own."""
+    if squares.side == 1:
+        return squares.pick(view.smooth_ground[0])[0][:, 0]
+    return squares.ring(view.observation.ground[0])
 
 
 def _power_slope(light: Tensor) -> Tensor:

@@ -7,6 +7,7 @@ import torch
 
 from plugins.uniform import Uniform
 from toolkit.background import estimate_noise
+from toolkit.box_filter import ring_mean
 from toolkit.response import CurveDoubt
 from toolkit.sweep.doubt import motion_of, sweep_uncertainty
 from toolkit.sweep.fit import fit_sweep
@@ -41,13 +42,14 @@ def decoded(seen, exponent, **response):
 def observed(seen):
     """All of the picture."""
     noise = estimate_noise(seen.shot.image, seen.shot.background)
-    return seen.estimator.observe(seen.shot.image, seen.shot.background, noise)
+    whole = seen.estimator.observe(seen.shot.image, seen.shot.background, noise)
+    return {"observation": whole, "smooth_ground": ring_mean(whole.ground)}
 
 
 def judged(seen, factor=1.0):
     view = observe_streak(seen.shot.image, seen.shot.background, seen.estimator)
     frame = seen.frame()
-    view = replace(view, corner=(0, 0), observation=observed(seen))
+    view = replace(view, corner=(0, 0), **observed(seen))
     fit = fit_sweep(seen.model(), seen.truth(), frame, doubt=1.0)
     return judge_linearity(view, fit, factor)
 
@@ -119,7 +121,7 @@ def test_a_measured_curve_errs_in_its_own_ways(seen, doubt):
     view = observe_streak(image, background, seen.estimator)
     view = replace(view, corner=(0, 0), shot=image, background=background)
     frame, fit = seen.frame(), seen.fit()
-    known = judge_linearity(replace(view, observation=observed(seen)), fit, 1.0).known
+    known = judge_linearity(replace(view, **observed(seen)), fit, 1.0).known
     assert known == pytest.approx(doubt.exponent_std())
     changes = response_changes(view, seen.estimator, frame, fit, Linearity(known=known))
     assert len(changes) == 2
