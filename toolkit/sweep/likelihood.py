@@ -124,13 +124,13 @@ def compare(
     channels, shared = len(pixels.signal), model.path.size + 1 + model.unknowns
     gradient = torch.zeros(len(x), dtype=torch.float64)
     information = torch.zeros(len(x), len(x), dtype=torch.float64)
-    whitened, columns = [], []
+    J = _whitened_J(covered, ball, J_chord, contrast, likeliest, root)
+    pulls, grams = (J @ (residual * root)[..., None])[..., 0], J @ J.mT
+    columns = []
     for q in range(channels):
         at = torch.tensor([*range(shared), shared + q, shared + channels + q])
-        J = _channel_J(covered, ball, J_chord, contrast[q], likeliest[q], root[q], q)
-        information[at[:, None], at] += J @ J.mT
-        gradient[at] -= J @ (residual[q] * root[q])
-        whitened.append(J)
+        information[at[:, None], at] += grams[q]
+        gradient[at] -= pulls[q]
         columns.append(at)
     cost += _add_beside(gradient, information, pixels.beside, gains)
     cost += _add_priors(gradient, information, gains)
@@ -145,7 +145,7 @@ def compare(
         coverage=covered,
         contrast=contrast * precision.sqrt(),
         light=alpha * ball.colour * precision.sqrt(),
-        J=tuple(whitened),
+        J=tuple(J),
         columns=tuple(columns),
     )
     if model.cells is None:
@@ -153,32 +153,32 @@ def compare(
     return model.cells.freed(found)
 
 
-def _channel_J(
+def _whitened_J(
     covered: Coverage,
     ball: BallColours,
     J_chord: Tensor | None,
     contrast: Tensor,
     ground: Tensor,
     root: Tensor,
-    q: int,
 ) -> Tensor:
-    """Give the whitened derivatives of one channel [K + 1 + A + 2, N].
+    """Give the whitened derivatives of each channel [Q, K + 1 + A + 2, N].
 
     They are those in path and spread, in the appearance, in gain and in offset; `root` whitens.
     """
     alpha, size = covered.alpha, len(covered.J)
     unknowns = 0 if ball.design is None else ball.design.shape[1]
-    J = torch.empty(size + unknowns + 2, len(alpha), dtype=torch.float64)
-    torch.mul(covered.J, contrast * root, out=J[:size])
+    J = torch.empty(len(root), size + unknowns + 2, len(alpha), dtype=torch.float64)
+    torch.mul(covered.J, (contrast * root)[:, None], out=J[:, :size])
+    seen = alpha * root
     if J_chord is not None and ball.slopes is not None:
-        for slope, J_number in zip(ball.slopes[:, q], J_chord, strict=True):
-            J[: size - 1] += (alpha * slope * root) * J_number
+        for slope, J_number in zip(ball.slopes, J_chord, strict=True):
+            J[:, : size - 1] += (slope * seen)[:, None] * J_number
     if ball.by_spread is not None:
-        J[size - 1] += alpha * ball.by_spread[q] * root
+        J[:, size - 1] += ball.by_spread * seen
     if ball.design is not None:
-        torch.mul(ball.design[q], alpha * root, out=J[size:-2])
-    torch.mul(1 - alpha, root, out=J[-1])
-    torch.mul(J[-1], ground, out=J[-2])
+        torch.mul(ball.design, seen[:, None], out=J[:, size:-2])
+    torch.mul(1 - alpha, root, out=J[:, -1])
+    torch.mul(J[:, -1], ground, out=J[:, -2])
     return J
 
 
