@@ -225,15 +225,15 @@ def _asked_for(fit: SweepFit) -> tuple[SweepModel, Tensor] | None:
     if float(torch.linalg.vector_norm(displacement)) < SHORTEST_BEND * fit.model.ball_radius:
         return None
     best, promised = None, 0.0
-    doubt = look_for_misfit(fit).factor
     for path in _richer(fit.model.path, is_explained=fit.pixels.excess == 1):
         model = replace(fit.model, path=path)
         x = _carried(fit, path)
         seen = compare(model, x, fit.pixels)
-        gain = seen.step()[1] / doubt
-        gain -= EVIDENCE * (path.size - fit.model.path.size)
-        if gain > promised:
-            best, promised = (model, x), gain
+        gain, price = seen.step()[1], EVIDENCE * (path.size - fit.model.path.size)
+        if gain > price:  # misfit only makes less of it
+            gain /= look_for_misfit(fit).factor
+        if gain - price > promised:
+            best, promised = (model, x), gain - price
     return best
 
 
