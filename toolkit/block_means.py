@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 
 from toolkit.demosaicing import superpixels
 from toolkit.types import LinearImage
+
+Planes = NDArray[np.floating[Any]]
 
 
 def whole_periods(image: LinearImage, factor: int) -> int:
@@ -48,13 +51,13 @@ def block_means(image: LinearImage, factor: int) -> LinearImage:
     )
 
 
-def _means(picture: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
+def _means(picture: Planes, factor: int) -> Planes:
     """Average blocks of each channel of a picture [3, H, W] made of whole ones."""
     height, width = (side // factor for side in picture.shape[1:])
-    means = np.empty((len(picture), height, width), np.float32)
+    means = np.empty((len(picture), height, width), picture.dtype)
     # OpenCV is quickest at halves; in memory that all channels share they stay in the cache
     is_halved = factor % 4 == 0
-    half = np.empty([side // 2 for side in picture.shape[1:]] if is_halved else 0, np.float32)
+    half = np.empty([side // 2 for side in picture.shape[1:]] if is_halved else 0, picture.dtype)
     for plane, mean in zip(picture, means, strict=True):
         if is_halved:
             cv2.resize(plane, half.shape[::-1], half, interpolation=cv2.INTER_AREA)

@@ -37,3 +37,13 @@ def test_a_mosaic_is_reduced_by_whole_periods():
     assert whole_periods(image, 3) == 3
     assert whole_periods(behind_mosaic(image), 3) == 4
     assert whole_periods(behind_mosaic(image), 4) == 4
+
+
+@pytest.mark.parametrize("factor", [2, 3, 4])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_each_mean_is_that_of_its_block_and_as_precise_as_the_picture(factor, dtype):
+    rgb = torch.rand(1, 3, 21, 30, dtype=dtype, generator=torch.Generator().manual_seed(1))
+    image = LinearImage(rgb=rgb, clipped=torch.zeros(1, 1, 21, 30, dtype=torch.bool))
+    reduced = block_means(image, factor).rgb
+    assert reduced.dtype == dtype
+    assert torch.allclose(reduced, torch.nn.functional.avg_pool2d(rgb, factor), atol=1e-6)
