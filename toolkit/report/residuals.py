@@ -1,5 +1,6 @@
 """What the exact streak leaves unexplained, drawn beside the shot."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,8 @@ MARGIN = 1.5
 """Patches left round the streak."""
 LONGER_SIDE = 800
 """px, to which the streak's part of the picture is enlarged."""
+ASKED = 500
+"""Patches at most whose neighbours are looked for."""
 FADED = 0.25
 """Contrast of the shot below the colours."""
 
@@ -59,7 +62,8 @@ def draw_residuals(image: LinearImage, measurement: Measurement) -> Picture:
     if contours is not None:
         for line in (contours.left, contours.right):
             draw_line(coloured, (np.array(line) - low + 0.5) * scale - 0.5, CONTOUR, 1)
-    return np.concatenate([shot, coloured], axis=int(shot.shape[0] < shot.shape[1]) ^ 1)
+    is_flat = shot.shape[0] < shot.shape[1]
+    return np.concatenate([shot, coloured], axis=0 if is_flat else 1)
 
 
 def write_residuals(path: Path, image: LinearImage, measurement: Measurement) -> None:
@@ -77,7 +81,8 @@ def patch_side(residuals: ResidualMap) -> int:
     place = np.array(residuals.place_px)
     if len(place) < 2:
         return 1
-    gaps = [np.partition(np.hypot(*(place - one).T), 1)[1] for one in place]
+    some = place[:: math.ceil(len(place) / ASKED)]
+    gaps = [np.partition(np.hypot(*(place - one).T), 1)[1] for one in some]
     return max(1, round(float(np.median(gaps))))
 
 

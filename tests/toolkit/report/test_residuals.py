@@ -90,6 +90,7 @@ def test_contours_are_drawn_where_they_lie():
 
 def test_the_side_of_the_patches_is_that_of_most_neighbours():
     assert patch_side(measured(np.zeros((4, 9))).fit.residuals) == SIDE
+    assert patch_side(measured(np.zeros((40, 70))).fit.residuals) == SIDE
     assert patch_side(ResidualMap(place_px=((1.0, 2.0),), sigma=(1.0,))) == 1
 
 
