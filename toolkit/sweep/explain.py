@@ -3,9 +3,11 @@
 import torch
 from torch import Tensor
 
+from toolkit.sweep.colours import plain_colours
 from toolkit.sweep.fit import SweepFit
 from toolkit.sweep.marks import MarkedFit
 from toolkit.sweep.misfit import beside_excess
+from toolkit.sweep.model import SweepModel
 from toolkit.sweep.shade import Shaded
 
 TOLD = 0.03
@@ -76,9 +78,16 @@ def other_colour(fit: SweepFit, factor: float) -> float | None:
     base, rows = looks
     first = fit.model.path.size + 1
     std = (fit.covariance.diagonal()[first : first + len(base)] * factor).sqrt()
-    share = _relative(rows[0], base)
+    share = _relative(rows[0], _known_colour(fit.model))
     is_sure = bool((rows[0].abs() > SURE * std).any())
     return share if is_sure and float((rows[0].abs() / base.abs().max()).max()) > TOLD else None
+
+
+def _known_colour(model: SweepModel) -> Tensor:
+    """Give the colour that a ball was known by before it was given another one [Q]."""
+    ball = model.estimator
+    below = ball.innermost if isinstance(ball, Shaded) else ball
+    return plain_colours(below, torch.zeros(0, dtype=torch.float64)).colour[:, 0]
 
 
 def _shade(fit: SweepFit) -> tuple[Tensor, dict[int, Tensor]] | None:
@@ -96,4 +105,4 @@ def _shade(fit: SweepFit) -> tuple[Tensor, dict[int, Tensor]] | None:
 
 def _relative(change: Tensor, base: Tensor) -> float:
     """Give a change of colour over the colour, brighter positive."""
-    return float(change @ base / (base @ base))
+    return float(change @ base / (base @ base).clamp_min(1e-12))

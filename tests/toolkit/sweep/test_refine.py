@@ -158,7 +158,7 @@ def test_a_ball_of_another_colour_than_known_is_measured_by_its_own(streak, shar
     error = torch.cat([position, displacement]) - true_state(seen, displacement)
     assert (error.abs() < 3.5 * found.uncertainty.total.diagonal()[:6].sqrt()).all()
     told = other_colour(found.fit, found.misfit.factor)
-    assert told == pytest.approx(1 / share - 1, abs=0.05)
+    assert told == pytest.approx(1 / share - 1, abs=0.02)
 
 
 def test_a_ball_of_quite_another_colour_than_known_is_refused(streak):
