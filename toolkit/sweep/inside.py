@@ -18,6 +18,10 @@ from toolkit.sweep.sharp_turns import sharp_turn
 
 INSTANTS = 33
 """At which the distance is taken, on each arc of the path."""
+BLOCK = 4_000_000
+"""Distances taken together, for the memory's sake: a spline has many instants."""
+BLOCK = 2_000_000
+"""Distances taken together, for the memory's sake: a spline has many instants."""
 
 
 def far_from_rims(model: SweepModel, x: Tensor, rays: Rays, margin: float) -> Tensor:
@@ -33,19 +37,33 @@ def far_from_rims(model: SweepModel, x: Tensor, rays: Rays, margin: float) -> Te
     count = 1 + (INSTANTS - 1) * len(arcs.coefficients)
     even = torch.linspace(-0.5, 0.5, count, dtype=torch.float64)
     time, order = torch.cat([even, arcs.joints]).sort()
-    centre = arcs.at(time)[0].float()
-    unit, right = rays.unit.float(), rays.right.float()
-    distance2 = (centre * centre).sum(-1, keepdim=True)
-    apart = (distance2 - (centre @ unit) ** 2).clamp_min(0).sqrt()
-    px = distance2.sqrt() * (right * right).sum(0).sqrt()
-    gap = (apart - model.ball_radius) / px
-    rise = gap.diff(dim=0)
-    is_still = torch.ones_like(gap, dtype=torch.bool)
-    is_still[1:-1] = rise[1:] * rise[:-1] <= 0
-    is_still[order >= count] = True
-    at_rim = (is_still & (gap.abs() < margin)).any(0)
-    turned = (gap[_turning(arcs, time, model.ball_radius)] < margin).any(0)
-    return (gap.amin(0) < -margin) & ~at_rim & ~turned
+    centre, turning = arcs.at(time)[0], _turning(arcs, time, model.ball_radius)
+    number, size = torch.arange(len(rays.blur)), max(1, BLOCK // len(time))
+    is_far = torch.zeros(len(number), dtype=torch.bool)
+    for first in range(0, len(number), size):
+        block = number[first : first + size]
+        gap = _gaps(centre, rays[block], model.ball_radius)
+        rise = gap.diff(dim=0)
+        is_still = torch.ones_like(gap, dtype=torch.bool)
+        is_still[1:-1] = rise[1:] * rise[:-1] <= 0
+        is_still[order >= count] = True
+        at_rim = (is_still & (gap.abs() < margin)).any(0)
+        turned = (gap[turning] < margin).any(0)
+        is_far[block] = (gap.amin(0) < -margin) & ~at_rim & ~turned
+    return is_far
+
+
+def _gaps(centre: Tensor, rays: Rays, ball_radius: float) -> Tensor:
+    """Give how far rays pass beyond the rim of the ball at each of T places [T, N], px."""
+    distance = torch.linalg.vector_norm(centre, dim=-1, keepdim=True)
+    view = centre / distance
+    # about a ray between them single precision is enough, however far away the ball is
+    middle = view.mean(0)
+    u, v = (rays.unit - middle[:, None]).float(), (view - middle).float()
+    chord2 = (v * v).sum(-1, keepdim=True) + (u * u).sum(0) - 2 * (v @ u)
+    apart = (chord2 * (1 - chord2 / 4)).clamp_min(0).sqrt() - (ball_radius / distance).float()
+    gaps: Tensor = apart / (rays.right * rays.right).sum(0).sqrt().float()
+    return gaps
 
 
 def _turning(arcs: Arcs, time: Tensor, ball_radius: float) -> Tensor:

@@ -84,6 +84,21 @@ def test_the_opacity_is_even_where_no_rim_is_near(flight):
     assert is_far.sum() > 0.1 * (most > 0).sum()
 
 
+def test_a_ball_far_away_before_a_long_lens_is_told_as_well(streak):
+    """A thousand times as far before a lens a thousand times as long: the same picture."""
+    seen = streak(**STREAK)
+    time, points = torch.linspace(-0.5, 0.5, 65, dtype=torch.float64), seen.points()
+    away = points * torch.tensor([1.0, 1.0, 1000.0], dtype=torch.float64)
+    camera = seen.scene.camera
+    camera = replace(camera, fx=1000 * camera.fx, fy=1000 * camera.fy)
+    squares, model = squares_of(seen), replace(seen.model(), camera=camera)
+    x = torch.cat([STRAIGHT.through(time, away), seen.truth()[STRAIGHT.size :]])
+    rays = replace(seen.frame(), camera=camera).rays(squares)
+    is_far = far_from_rims(model, x, rays, 3.0)
+    assert (is_far == far(seen, STRAIGHT, squares, 3.0)).double().mean() > 0.99
+    assert is_far.sum() > 100
+
+
 def test_squares_there_tell_as_much_as_their_pixels(flight):
     """On the picture without noise: the same motion, and hardly less known of it."""
     seen, path = flight
