@@ -9,7 +9,9 @@ answer is its uncertainty: more than the rest of the picture shows, since the fi
 as far as it could. [derived]
 """
 
+import itertools
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import torch
@@ -177,8 +179,7 @@ def find_marks(
     cells = Cells(number=number, count=grid.count, share=share)
     sums = cells.sums(fit.seen)
     least, best = sums.cost(fit.seen, NOTHING) - CERTAIN, None
-    sizes = [(wide, long) for wide in (*MERGED, grid.lanes) for long in (*MERGED, grid.stretches)]
-    for wide, long in sizes if like is None else [(like.wide, like.long)]:
+    for wide, long in grid.sizes() if like is None else [(like.wide, like.long)]:
         larger, count = grid.merged(wide, long)
         if count < FEWEST or (other_than is not None and wide == other_than.wide):
             continue
@@ -210,6 +211,13 @@ class _Grid:
     @property
     def count(self) -> int:
         return self.lanes * self.stretches
+
+    def sizes(self) -> Iterator[tuple[int, int]]:
+        """Give how many of them larger cells may hold across and along, at most all."""
+        wide, long = (
+            sorted({min(n, most) for n in (*MERGED, most)}) for most in (self.lanes, self.stretches)
+        )
+        return itertools.product(wide, long)
 
     def merged(self, wide: int, long: int) -> tuple[Tensor, int]:
         """Give the number of the larger cell that each cell falls to, and how many there are."""
