@@ -11,6 +11,7 @@ from torch import Tensor
 
 from toolkit.alpha import AlphaEstimator
 from toolkit.camera import Camera
+from toolkit.errors import StreakError
 from toolkit.sweep.rays import RayGrid, Rays
 from toolkit.sweep.squares import Squares
 from toolkit.view import StreakView
@@ -171,17 +172,22 @@ class Frame:
             side: of the squares whose pixels are averaged.
             doubt: px by which the path and the half width may be off.
             wide: larger squares that stand for their pixels, where single pixels are taken.
+
+        Raises:
+            StreakError: when nothing was measured there.
         """
         reach = np.asarray(half_width, dtype=np.float64) + ROOM + doubt
         near = self._band(path_px, reach, side)
-        coarse = max(side, BESIDE_SIDE)
-        ring = self._band(path_px, reach + BESIDE * np.asarray(half_width) + 8, coarse)
-        ring[self._band(path_px, reach, coarse) > 0] = 0
         groups = []
         if wide is not None:
             near.reshape(-1)[wide.index().numpy()] = 0
             groups.append(self._read(wide))
         groups.insert(0, self._read(self._squares(near, side)))
+        if not any(len(g.squares) for g in groups):
+            raise StreakError(
+                "the exact streak leads to where nothing was measured: out of the picture, or "
+                "to clipped pixels alone; name a region that holds the whole streak"
+            )
         signal, ground, shot, empty = (
             torch.cat(maps, dim=-1) for maps in zip(*(g.maps for g in groups), strict=True)
         )
@@ -197,9 +203,31 @@ class Frame:
             ground_variance=empty,
             ground_slope=torch.cat(slopes, dim=-1).double(),
             mixed=torch.zeros_like(signal),
-            beside=Beside.of(*self._read(self._squares(ring, coarse)).maps),
+            beside=Beside.of(
+                *self.read_beside(path_px, half_width, side=max(side, BESIDE_SIDE), doubt=doubt)
+            ),
             excess=self.excess,
         )
+
+    def read_beside(
+        self, path_px: Tensor, half_width: Tensor | float, *, side: int, doubt: float = 0.0
+    ) -> tuple[Tensor, ...]:
+        """Average the squares beside a streak, where nothing but the background is seen.
+
+        Args:
+            path_px: points of the path [T, 2] px.
+            half_width: of the ball's image at each of them [T], or at all, px.
+            side: of the squares, px.
+            doubt: px by which the path and the half width may be off.
+
+        Returns:
+            Signal, ground and the variances of both [Q, M].
+        """
+        size = np.asarray(half_width, dtype=np.float64)
+        reach = size + ROOM + doubt
+        ring = self._band(path_px, reach + BESIDE * size + 8, side)
+        ring[self._band(path_px, reach, side) > 0] = 0
+        return self._read(self._squares(ring, side)).maps
 
     def even_squares(
         self, path_px: Tensor, half_width: Tensor, side: int, contrast: float

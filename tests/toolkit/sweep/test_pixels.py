@@ -5,8 +5,9 @@ import torch
 
 from plugins.two_colour import TwoColour
 from plugins.uniform import Uniform
-from toolkit import Camera
+from toolkit import Camera, StreakError
 from toolkit.box_filter import ring_mean
+from toolkit.sweep.fit import outline
 from toolkit.sweep.pixels import Beside, Frame
 from toolkit.sweep.rays import RayGrid
 from toolkit.synthetic import add_noise
@@ -96,6 +97,16 @@ def test_a_window_in_the_picture_gives_the_same_pixels(short):
     assert torch.equal(whole.place, cut.place)
     assert torch.equal(whole.signal, cut.signal)
     assert torch.allclose(whole.rays.unit, cut.rays.unit, atol=1e-9)
+
+
+def test_where_nothing_was_measured_it_says_so(short):
+    frame, model, truth = short.frame(), short.model(), short.truth()
+    middle, half_width = outline(model, truth)
+    with pytest.raises(StreakError, match=r"nothing was measured.*name a region"):
+        frame.about(middle + 5000, half_width)
+    blind = replace(frame, usable=torch.zeros_like(frame.usable))
+    with pytest.raises(StreakError, match="nothing was measured"):
+        blind.about(middle, half_width)
 
 
 def test_unusable_pixels_are_left_out(short):
