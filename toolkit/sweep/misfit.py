@@ -12,8 +12,9 @@ import torch
 from torch import Tensor
 
 from toolkit.ranks import HALF_OF_NORMAL
-from toolkit.sweep.fit import SweepFit
+from toolkit.sweep.fit import SweepFit, outline
 from toolkit.sweep.likelihood import Comparison
+from toolkit.sweep.pixels import Frame
 
 PATCH = 8
 """px along the side of a patch: that of a block of JPEG."""
@@ -25,6 +26,10 @@ CHANCE = 3.5
 """Standard deviations by which a mean square may exceed 1 by chance."""
 COVERED = 1e-4
 """Opacity from which a pixel counts as covered."""
+CORRELATED = 1.5
+"""Mean square of patches beside the streak from which noise is not that of single pixels."""
+ALIKE = 4.0
+"""Times this to which the streak may miss by such noise alone, in its largest patches."""
 FEWEST = 6
 """Patches from which there is something to be said."""
 FEWEST_COARSE = 12
@@ -112,6 +117,26 @@ def look_for_misfit(fit: SweepFit) -> Misfit:
         is_patchy=is_patchy,
         is_common=is_common,
     )
+
+
+def is_noise(fit: SweepFit, misfit: Misfit, frame: Frame) -> bool:
+    """Say whether the misfit is that of correlated noise, such as is seen beside the streak too."""
+    beside = patches_beside(fit, frame)
+    return beside > CORRELATED and misfit.factor * fit.pixels.excess < ALIKE * beside
+
+
+def patches_beside(fit: SweepFit, frame: Frame) -> float:
+    """Give the mean square of patches beside the streak: more than 1 where noise is correlated.
+
+    Compression takes fine noise away and leaves what is alike over a few pixels: then single
+    pixels tell less of the noise than patches do, with a ball or without.
+    """
+    path_px, half_width = outline(fit.model, fit.parameters)
+    signal, ground, shot, empty = frame.read_beside(path_px, half_width, side=PATCH)
+    gain, offset = (numbers[:, None] for numbers in fit.model.split(fit.parameters)[3:])
+    size = (signal - gain * ground - offset).abs() / (shot + gain**2 * empty).sqrt()
+    used = size[size > 0]
+    return float(used.median() / HALF_OF_NORMAL) ** 2 if len(used) >= FEWEST else 1.0
 
 
 def with_coarse_misfit(misfit: Misfit, fit: SweepFit) -> Misfit:

@@ -16,7 +16,7 @@ from toolkit.sweep.fit import LARGEST_SPREAD, SweepFit, outline
 from toolkit.sweep.likelihood import compare
 from toolkit.sweep.linearity import judge_linearity, response_changes
 from toolkit.sweep.marks import STRONGEST, MarkedFit, fit_with_marks
-from toolkit.sweep.misfit import Misfit, look_for_misfit, with_coarse_misfit
+from toolkit.sweep.misfit import Misfit, is_noise, look_for_misfit, with_coarse_misfit
 from toolkit.sweep.model import SweepModel
 from toolkit.sweep.paths import STRAIGHT
 from toolkit.sweep.pixels import Frame
@@ -106,7 +106,7 @@ def refine(
     still_below = speed_limit(fit, misfit) if looks_still(fit, misfit) else None
     marked = None
     if misfit.significant and still_below is None and _is_light(fit.model):
-        marked = fit_with_marks(fit, frame)
+        marked = None if is_noise(fit, misfit, frame) else fit_with_marks(fit, frame)
     if marked is None:
         _check_explained(fit, misfit, start)
         others = tuple(one for one in [finer_shade(fit, frame)] if one is not None)

@@ -8,8 +8,10 @@ from toolkit.sweep.misfit import (
     COVERED,
     beside_excess,
     bulk_excess,
+    is_noise,
     look_for_misfit,
     mean_square,
+    patches_beside,
     with_coarse_misfit,
 )
 
@@ -175,3 +177,39 @@ def test_what_changed_beside_the_ball_is_told_from_noise(plain):
     assert beside_excess(replace(fit, seen=shadow)) > 4
     covered = replace(fit.seen.coverage, alpha=torch.ones_like(fit.seen.coverage.alpha))
     assert beside_excess(replace(fit, seen=replace(fit.seen, coverage=covered))) == 1
+
+
+def smoothed(picture, clean):
+    """The same with noise that is alike over a few pixels, as a compressed picture has it."""
+    return clean + torch.nn.functional.avg_pool2d((picture - clean)[None], 3, 1, 1)[0]
+
+
+def test_noise_that_is_correlated_shows_beside_the_streak_too(plain):
+    white, shot = plain.frame(), plain.shot
+    assert patches_beside(plain.fit(), white) == pytest.approx(1, abs=0.3)
+    noise = white.signal - shot.clean_image
+    alike = replace(
+        white,
+        signal=smoothed(white.signal, shot.clean_image),
+        ground=smoothed(white.ground, shot.clean_background),
+        shot_variance=white.shot_variance / 9,
+        ground_variance=white.ground_variance / 9,
+    )
+    assert float(noise.std()) == pytest.approx(plain.noise, rel=0.05)
+    fit = fitted(plain, alike)
+    misfit = with_coarse_misfit(look_for_misfit(fit), fit)
+    assert misfit.significant
+    assert patches_beside(fit, alike) == pytest.approx(9, rel=0.4)
+    assert is_noise(fit, misfit, alike)
+
+
+def test_what_only_the_streak_shows_is_no_noise(plain):
+    """A stripe along the path, in noise of single pixels."""
+    frame = plain.frame()
+    signal = frame.signal.clone()
+    signal[:, :, signal.shape[-1] // 2 - 3 :][:, :, :6] *= 1.1
+    striped = replace(frame, signal=torch.where(plain.shot.alpha > 0.02, signal, frame.signal))
+    fit = fitted(plain, striped)
+    misfit = with_coarse_misfit(look_for_misfit(fit), fit)
+    assert misfit.significant
+    assert not is_noise(fit, misfit, striped)
