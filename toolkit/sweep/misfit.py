@@ -100,8 +100,9 @@ def look_for_misfit(fit: SweepFit) -> Misfit:
     by_lane = _mean_square(lanes)
     single = mean_square(seen)
     # variances that were raised to the misfit before a shade was fitted hide what is left
-    is_patchy = _is_beyond_chance(patches / min(single, 1.0), len(sigma))
-    is_common = _is_beyond_chance(by_lane / min(single, 1.0), len(lanes))
+    hidden = min(single, 1.0) if pixels.excess > 1 else 1.0
+    is_patchy = _is_beyond_chance(patches / hidden, len(sigma))
+    is_common = _is_beyond_chance(by_lane / hidden, len(lanes))
     factor = max(single, 1.0)
     if is_patchy:
         factor = max(factor, patches)

@@ -3,6 +3,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from toolkit.box_filter import box_mean
 from toolkit.sweep.fit import fit_sweep
 from toolkit.sweep.misfit import (
     COVERED,
@@ -38,6 +39,16 @@ def test_noise_alone_is_no_misfit(plain):
     # what is fitted takes its share, most from lanes, of which there are few
     assert 0.8 < patches < 1.1
     assert 0.6 < lanes < 1.1
+
+
+def test_noise_that_is_alike_nearby_and_weaker_than_stated_is_no_misfit(plain):
+    """As of what is put together from the cells of a mosaic."""
+    frame, clean = plain.frame(), plain.clean().frame()
+    noise = box_mean((frame.signal - clean.signal)[None], 3)[0]
+    misfit = look_for_misfit(fitted(plain, replace(clean, signal=clean.signal + noise)))
+    assert misfit.pixels < 0.2
+    assert 2 * misfit.pixels < misfit.patches < 1.2
+    assert not misfit.significant
 
 
 def test_each_patch_says_where_it_is(plain):
