@@ -222,13 +222,15 @@ def _cautions(
 
 def _misfit_text(found: SweepResult) -> str:
     """Say how much and what the streak of a plain ball leaves unexplained."""
-    misfit, single = found.misfit, found.misfit.pixels * found.fit.pixels.excess
+    misfit, noise = found.misfit, found.fit.pixels.excess
     if found.marked is not None:
-        misfit, single = found.marked.before, found.marked.fit.pixels.excess
+        misfit = found.marked.before
+        noise = found.marked.fit.pixels.excess / misfit.pixels
     return (
         "the streak differs from that of such a ball by more than noise: "
-        f"{single:.2f} times its variance in single pixels, {misfit.patches:.1f} in patches of "
-        f"what is left, {misfit.lanes:.1f} along the whole streak "
+        f"{misfit.pixels * noise:.2f} times its variance in single pixels, "
+        f"{misfit.patches * noise:.1f} in patches of what is left, "
+        f"{misfit.lanes * noise:.1f} along the whole streak "
         f"({explain_misfit(found.fit, found.marked)}); the uncertainties are widened"
     )
 

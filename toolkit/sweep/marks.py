@@ -37,9 +37,6 @@ FEWEST = 4
 STRONGEST, WEAKEST, STEPS = 0.5, 0.002, 16
 """Of marks, rms change of light over that of the ball, and steps of the search for it: holes that
 are black and cover half of the ball are as strong."""
-UNSETTLED = 3.0
-"""Excess of the misfit from which marks explain so little that they may have led anywhere: the
-motion without any then counts for as good."""
 EVIDENCE = 4.0
 """Chi-square that each number of a bend must gain."""
 CERTAIN = 12.0
@@ -98,13 +95,12 @@ def fit_with_marks(fit: SweepFit, frame: Frame) -> MarkedFit | None:
         return None
     fit, marks = found
     left = with_coarse_misfit(look_for_misfit(fit), fit)
-    others = [_of_other_width(fit, marks)]
-    if left.factor > UNSETTLED:
-        others.append(plain)
+    # how much of the misfit is marks nobody knows: the motion without any is as far off, or this
+    others = [plain, _of_other_width(fit, marks)]
     return MarkedFit(
         fit=fit,
         marks=marks,
-        others=tuple(other for other in others if other is not None),
+        others=tuple(other for other in others if other is not None and other.converged),
         before=before,
         left=left,
         residuals=small_patches(plain),

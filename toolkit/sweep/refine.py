@@ -109,11 +109,13 @@ def refine(
         marked = None if is_noise(fit, misfit, frame) else fit_with_marks(fit, frame)
     if marked is None:
         _check_explained(fit, misfit, start)
-        others = tuple(one for one in [finer_shade(fit, frame)] if one is not None)
     else:
         _check_marks(marked)
-        fit, misfit, others = marked.fit, marked.left, marked.others
-        _check_explained(fit, misfit, start)
+        _check_explained(marked.fit, marked.left, start)
+    finer = finer_shade(fit, frame)
+    others = () if finer is None or not finer.converged else (finer,)
+    if marked is not None:
+        fit, misfit, others = marked.fit, marked.left, (*marked.others, *others)
     uncertainty = sweep_uncertainty(
         fit,
         misfit,
@@ -196,10 +198,10 @@ def _in_likeliest_light(
             break
         amounts = light.amounts + light.step
         lit = replace(model, estimator=told.relit(amounts))
-        fit, sign = _both_ways(frame, lit, start, shutter)
-        if not fit.converged:
+        trial, its_sign = _both_ways(frame, lit, start, shutter)
+        if not trial.converged:
             break
-        light = joint_light(fit, loose, amounts)
+        fit, sign, light = trial, its_sign, joint_light(trial, loose, amounts)
     return fit, sign, light
 
 
