@@ -134,6 +134,19 @@ def strays(fit: SweepFit, start: Start) -> float:
     return float(apart.max() / outline(fit.model, fit.parameters)[1].max())
 
 
+def strays_from_edges(fit: SweepFit, start: Start) -> float:
+    """Give by how many half widths the edges leave a close start, at the median; else 0."""
+    if not start.is_close:
+        return 0.0
+    camera = fit.model.camera
+    points, _ = fit.model.path.arcs(fit.parameters[: fit.model.path.size]).at(start.time)
+    apart = torch.cdist(camera.project(start.path), camera.project(points))
+    nearest, index = apart.min(1)
+    first, now = half_widths(fit.model, start.path), half_widths(fit.model, points)[index]
+    moved = (nearest + (now - first).abs()) / torch.minimum(first, now)
+    return float(moved.median())
+
+
 def _descending(first: int, last: int) -> list[int]:
     """Give sides of squares, each about half of the one before."""
     sides = [max(first, last)]

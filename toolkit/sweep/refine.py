@@ -9,7 +9,14 @@ from toolkit.alpha import AlphaEstimator
 from toolkit.camera import Camera
 from toolkit.errors import StreakError
 from toolkit.measurement import Alternative, Sign, numbers
-from toolkit.sweep.choose import COLOURS, Start, finer_shade, most_likely_motion, strays
+from toolkit.sweep.choose import (
+    COLOURS,
+    Start,
+    finer_shade,
+    most_likely_motion,
+    strays,
+    strays_from_edges,
+)
 from toolkit.sweep.describe import SweepResult
 from toolkit.sweep.doubt import motion_of, sweep_uncertainty
 from toolkit.sweep.fit import LARGEST_SPREAD, SweepFit, outline
@@ -31,8 +38,9 @@ OTHER_COLOUR = 14.0
 """Squared misfit of all the streak alike, over that of its pixels, of another colour than known."""
 SOFTEST = 0.95 * LARGEST_SPREAD
 """px^2, of lens and pixel: what is softer is no rim of a ball."""
-STRAYED = 0.5
-"""Half widths by which the likeliest path may leave the one that some profiles told at first."""
+STRAYED, STRAYED_EDGES = 0.5, 0.35
+"""Half widths by which the likeliest path may leave the one that some profiles told at first, and
+by which its edges may at the median."""
 RELIGHTINGS = 2
 """Fits in a light that the streak itself corrected, at most."""
 DECIDED = 0.99
@@ -167,10 +175,11 @@ def _check_explained(fit: SweepFit, misfit: Misfit, start: Start) -> None:
             f"alike, by {misfit.lanes:.0f} times what single pixels tell; take its colour where it "
             "flies, or leave it open"
         )
-    strayed = strays(fit, start)
-    if strayed > STRAYED:
+    strayed, at_edges = strays(fit, start), strays_from_edges(fit, start)
+    if strayed > STRAYED or at_edges > STRAYED_EDGES:
         raise StreakError(
-            f"the exact streak runs away from its profiles, by {strayed:.1f} half widths; "
+            "the exact streak runs away from its profiles, by "
+            f"{max(strayed, at_edges):.1f} half widths; "
             "something else than the ball may lie beside it"
         )
 

@@ -140,6 +140,15 @@ def test_a_path_that_leaves_its_profiles_is_refused(plain):
     assert found.fit.converged
 
 
+def test_a_streak_much_wider_than_its_profiles_is_refused(plain):
+    """Profiles of a ball half as far again, on the same path in the picture."""
+    far = 1.5 * plain.points()
+    with pytest.raises(StreakError, match=r"runs away from its profiles, by 0\.[56]"):
+        refined(plain, start=plain.start(path=far, is_close=True))
+    near = 1.1 * plain.points()
+    assert refined(plain, start=plain.start(path=near, is_close=True)).fit.converged
+
+
 def true_state(seen, displacement):
     """Position and travel [6], the way that was found."""
     first, middle, last = seen.points(3)
