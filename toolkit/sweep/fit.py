@@ -17,8 +17,8 @@ MAX_STEPS = 40
 SETTLED = 0.05
 """Chi-square that a further step may promise: shared among a dozen numbers, each then lies within a
 tenth of a standard deviation of the most likely one."""
-UNSEEN = 4.0
-"""Chi-square that the last step may promise whose end is not looked at."""
+UNSEEN = 80.0
+"""Times the tolerance that the last step may promise, whose end is not looked at."""
 ROUGHLY = 0.5
 """The same on coarse squares."""
 FIRST_DAMPING = 1e-4
@@ -145,7 +145,7 @@ def search(
         if last < math.inf:
             contraction = min(max(gain, 0.0) / last, 1.0)
         is_possible = _is_in_front(model, x + step)
-        if gain < max(tolerance, UNSEEN) and gain * contraction < tolerance:
+        if gain < UNSEEN * tolerance and gain * contraction < tolerance:
             converged = math.isfinite(seen.cost)
             if converged and is_possible:
                 x, promised = x + step, gain
